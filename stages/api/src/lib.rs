@@ -1,0 +1,37 @@
+//! The contract between the engine and a stage: what an author of a stage writes, and what the engine hands to it.
+//!
+//! - [`Stage`] is the trait of a stage kind; [`Kind`] is its erased form, [`Registry`] the set that a program offers.
+//! - [`Ports`] declare typed inputs and outputs ([`Artifact`]); [`Needs`] what the stage takes of the machine.
+//! - [`Ctx`] is all that a running stage sees: seed, inputs, outputs, progress, checkpoint folder, cancellation.
+//! - [`Job`] is the same as a file, as the engine writes it for the child process that runs the stage.
+//! - [`scores`] is the one artifact format that several stage crates share.
+//!
+//! This crate knows nothing of YAML, keys or the cache, and depends on no other package of the workspace.
+
+mod artifact;
+mod ctx;
+mod error;
+mod job;
+mod kind;
+mod needs;
+mod params;
+mod ports;
+mod progress;
+mod registry;
+pub mod scores;
+mod seed;
+mod stage;
+pub mod testing;
+
+pub use artifact::Artifact;
+pub use ctx::{Ctx, InputItem};
+pub use error::StageError;
+pub use job::{Job, JobInput, JobOutput, Labels};
+pub use kind::Kind;
+pub use needs::Needs;
+pub use params::{ParamProblem, Problems};
+pub use ports::{Arity, Input, Output, Ports};
+pub use progress::{Message, Progress};
+pub use registry::{Registry, RegistryError};
+pub use seed::{Seed, StreamRng};
+pub use stage::Stage;

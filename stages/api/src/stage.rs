@@ -1,0 +1,45 @@
+//! The trait that an author of a stage kind implements.
+
+use schemars::JsonSchema;
+use serde::{Serialize, de::DeserializeOwned};
+
+use crate::{Ctx, Needs, Ports, Problems, StageError};
+
+/// A stage kind. A stage is a function from parameters, seed and inputs to outputs; it has no self.
+///
+/// Its result may depend on the parameters, the seed, the contents of its inputs and their labels, and on nothing
+/// else: not on time, host, thread count or the order in which other stages ran. The engine caches by exactly these.
+pub trait Stage: 'static {
+    /// The name after `kind:` in the pipeline file, in kebab-case.
+    const KIND: &'static str;
+    /// Raised when equal inputs give other outputs than before; every cached result of the kind is then stale.
+    const REVISION: u32;
+    /// One line for `dril-pipe kinds`.
+    const ABOUT: &'static str;
+    /// False where the stage draws no random number: the seed then stays out of its key.
+    const SEEDED: bool = true;
+
+    /// What stands under `with:`. Unknown fields must be denied (`#[serde(deny_unknown_fields)]`); every field that
+    /// has a default should say so with `#[serde(default)]`, and doc comments appear in `dril-pipe kinds`.
+    type Params: DeserializeOwned + Serialize + JsonSchema;
+
+    /// Reports every value that has the right type but not a sensible range.
+    fn check(params: &Self::Params, problems: &mut Problems) {
+        let _ = (params, problems);
+    }
+
+    /// The inputs and outputs.
+    fn ports(params: &Self::Params) -> Ports;
+
+    /// What it takes of the machine.
+    fn needs(params: &Self::Params) -> Needs {
+        let _ = params;
+        Needs::default()
+    }
+
+    /// Does the work: reads `ctx.input(..)`, writes every `ctx.output(..)`.
+    ///
+    /// # Errors
+    /// [`StageError::Cancelled`] after a clean stop at `ctx.cancelled()`; any other error is the stage's failure.
+    fn run(params: &Self::Params, ctx: &mut Ctx<'_>) -> Result<(), StageError>;
+}

@@ -1,0 +1,1 @@
+//! The learning stages: PPO, behaviour cloning, the ensemble, DRIL, collecting and evaluating.
