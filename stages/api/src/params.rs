@@ -2,8 +2,7 @@
 
 use std::ops::RangeBounds;
 
-use schemars::JsonSchema;
-use serde::{Serialize, de::DeserializeOwned};
+use serde::de::DeserializeOwned;
 use serde_json::Value;
 
 /// Something wrong with one parameter.
@@ -70,7 +69,7 @@ impl Problems {
 /// set aside, and the rest is read again.
 pub(crate) fn read<P>(value: &Value) -> Result<P, Vec<ParamProblem>>
 where
-    P: DeserializeOwned + Serialize + JsonSchema,
+    P: DeserializeOwned,
 {
     let mut rest = value.clone();
     let mut found: Vec<ParamProblem> = Vec::new();
@@ -84,7 +83,7 @@ where
                 // A field that was set aside is then missing; only the first word about it is news.
                 let echo = !found.is_empty() && message.starts_with("missing field");
                 if !echo {
-                    found.push(describe::<P>(&path, &message));
+                    found.push(describe(&path, &message));
                 }
                 if echo || !remove(&mut rest, &path) {
                     return Err(found);
@@ -127,7 +126,7 @@ fn remove(value: &mut Value, path: &[String]) -> bool {
 }
 
 /// serde's words, put into the project's form, with the nearest known name for a misspelt one.
-fn describe<P: JsonSchema>(path: &[String], message: &str) -> ParamProblem {
+fn describe(path: &[String], message: &str) -> ParamProblem {
     let mut hint = None;
     let mut text = message.to_owned();
     if let Some(rest) = message.strip_prefix("unknown field `")
@@ -167,10 +166,10 @@ fn known_names(seen: &str, known: &[&str]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use serde::Deserialize;
+    use serde::{Deserialize, Serialize};
     use serde_json::json;
 
-    #[derive(Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
+    #[derive(Debug, Deserialize, Serialize, PartialEq)]
     #[serde(deny_unknown_fields, default)]
     struct Inner {
         depth: u32,
@@ -180,7 +179,7 @@ mod tests {
             Self { depth: 3 }
         }
     }
-    #[derive(Debug, Deserialize, Serialize, JsonSchema, PartialEq)]
+    #[derive(Debug, Deserialize, Serialize, PartialEq)]
     #[serde(deny_unknown_fields)]
     struct Sample {
         steps: u64,
