@@ -1,0 +1,100 @@
+//! The resolved pipeline: stage instances with checked parameters, wired. What the later phases work on.
+
+use std::sync::Arc;
+
+use dril_stage_api::{Kind, Labels, Needs, Ports, Seed};
+use petgraph::graph::{DiGraph, NodeIndex};
+use serde_json::Value;
+
+/// The index of a stage instance in its graph.
+pub type StageIndex = NodeIndex<u32>;
+
+/// A resolved pipeline. Acyclic; node order is file order, then matrix order, and never depends on maps or threads.
+#[derive(Clone, Debug)]
+pub struct Graph {
+    /// The pipeline's name.
+    pub pipeline: String,
+    /// The profile that it was resolved with.
+    pub profile: String,
+    /// Stage instances; an edge runs from a stage to one that reads its outputs.
+    pub stages: DiGraph<StageInstance, (), u32>,
+}
+
+/// One stage instance.
+#[derive(Clone, Debug)]
+pub struct StageInstance {
+    /// The stage's name in the file.
+    pub name: Arc<str>,
+    /// Name and coordinates: `dril[expert=clipped, policy=beta, demonstrations=1]`; unique in the graph.
+    pub id: Arc<str>,
+    /// Axis = value, in the order of the stage's matrix.
+    pub coordinates: Vec<(String, String)>,
+    /// The kind.
+    pub kind: Kind,
+    /// Normalised parameters: defaults filled in, checked.
+    pub params: Value,
+    /// The seed; `None` where the kind draws no random number.
+    pub seed: Option<Seed>,
+    /// What it takes of the machine.
+    pub needs: Needs,
+    /// Its ports under these parameters.
+    pub ports: Ports,
+    /// What is wired to each input, in the order of the ports. Unconnected optional inputs are absent.
+    pub inputs: Vec<Wire>,
+}
+
+/// What is wired to one input.
+#[derive(Clone, Debug)]
+pub struct Wire {
+    /// The input's name.
+    pub port: &'static str,
+    /// True where the input takes many: then labels are part of the key.
+    pub many: bool,
+    /// The artifacts, in the order of the matrix.
+    pub sources: Vec<Source>,
+}
+
+/// Where an artifact comes from.
+#[derive(Clone, Debug)]
+pub struct Source {
+    /// The stage output or file.
+    pub from: From,
+    /// Axis = value of the instance it comes from, plus `name` in a named fan-in. Empty for inputs that take one.
+    pub labels: Labels,
+}
+
+/// The origin of an artifact.
+#[derive(Clone, Debug)]
+pub enum From {
+    /// An output of a stage instance.
+    Stage {
+        /// Which instance.
+        stage: StageIndex,
+        /// Which output.
+        output: &'static str,
+    },
+    /// A file from outside, relative to the pipeline file's folder unless absolute.
+    File {
+        /// As written in the pipeline file.
+        path: String,
+        /// `thesis.yaml:14:9`, for messages.
+        place: String,
+    },
+}
+
+impl StageInstance {
+    /// The coordinates as labels.
+    pub fn labels(&self) -> Labels {
+        self.coordinates.iter().cloned().collect()
+    }
+
+    /// A file name for its results: `table22`, or `curve-clipped-1` for an instance of a matrix.
+    pub fn file_stem(&self) -> String {
+        let mut stem = self.name.to_string();
+        for (_, value) in &self.coordinates {
+            stem.push('-');
+            stem.extend(value.chars().map(|c| if c.is_alphanumeric() || "._-".contains(c) { c } else { '_' }));
+        }
+        stem
+    }
+}
