@@ -1,0 +1,1 @@
+//! What is cached, and what a change reruns.

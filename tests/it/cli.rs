@@ -1,0 +1,1 @@
+//! The command line from the outside: what people and scripts see.

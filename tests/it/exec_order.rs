@@ -1,0 +1,1 @@
+//! In which order stages run, and what a failure stops.

@@ -1,0 +1,1 @@
+//! Pipeline files as text: what is read, and what is refused.
