@@ -3,7 +3,7 @@
 use serde_json::Value;
 
 use crate::params;
-use crate::{Ctx, Needs, ParamProblem, Ports, Problems, Stage, StageError};
+use crate::{Ctx, Describe, Needs, ParamProblem, Ports, Problems, Stage, StageError};
 
 /// A stage kind as the engine sees it: names, and functions over parameters as JSON values.
 #[derive(Clone, Copy)]
@@ -16,7 +16,14 @@ pub struct Kind {
     normalize: fn(&Value) -> Result<Value, Vec<ParamProblem>>,
     ports: fn(&Value) -> Result<Ports, Vec<ParamProblem>>,
     needs: fn(&Value) -> Result<Needs, Vec<ParamProblem>>,
-    run: fn(&Value, &mut Ctx<'_>) -> Result<(), StageError>,
+    run: Run,
+}
+
+/// Where a kind's work is done.
+#[derive(Clone, Copy)]
+enum Run {
+    Here(fn(&Value, &mut Ctx<'_>) -> Result<(), StageError>),
+    In(&'static str),
 }
 
 impl std::fmt::Debug for Kind {
@@ -29,18 +36,35 @@ impl std::fmt::Debug for Kind {
 }
 
 impl Kind {
-    /// The erased form of `S`.
+    /// The erased form of `S`: this program can plan with it and run it.
     pub const fn of<S: Stage>() -> Self {
+        Self::new::<S::Kind>(Run::Here(run::<S>))
+    }
+
+    /// A kind that this program plans with and the executable `worker` (beside this one) runs.
+    pub const fn run_by<D: Describe>(worker: &'static str) -> Self {
+        Self::new::<D>(Run::In(worker))
+    }
+
+    const fn new<D: Describe>(run: Run) -> Self {
         Self {
-            name: S::KIND,
-            revision: S::REVISION,
-            about: S::ABOUT,
-            seeded: S::SEEDED,
-            schema: schemars_of::<S>,
-            normalize: normalize::<S>,
-            ports: ports::<S>,
-            needs: needs::<S>,
-            run: run::<S>,
+            name: D::KIND,
+            revision: D::REVISION,
+            about: D::ABOUT,
+            seeded: D::SEEDED,
+            schema: schema_of::<D>,
+            normalize: normalize::<D>,
+            ports: ports::<D>,
+            needs: needs::<D>,
+            run,
+        }
+    }
+
+    /// The executable, beside this one, that runs the kind; `None` where this one does.
+    pub fn worker(&self) -> Option<&'static str> {
+        match self.run {
+            Run::Here(_) => None,
+            Run::In(worker) => Some(worker),
         }
     }
 
@@ -96,24 +120,27 @@ impl Kind {
     /// Runs a stage with these parameters.
     ///
     /// # Errors
-    /// The stage's own; parameters that do not fit are [`StageError::Params`].
+    /// The stage's own; parameters that do not fit are [`StageError::Params`]; a kind of another executable fails.
     pub fn run(&self, params: &Value, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
-        (self.run)(params, ctx)
+        match self.run {
+            Run::Here(run) => run(params, ctx),
+            Run::In(worker) => Err(StageError::failed(format!("kind `{}` is run by `{worker}`", self.name))),
+        }
     }
 }
 
-fn schemars_of<S: Stage>() -> schemars::Schema {
-    schemars::schema_for!(S::Params)
+fn schema_of<D: Describe>() -> schemars::Schema {
+    schemars::schema_for!(D::Params)
 }
 
-fn read<S: Stage>(value: &Value) -> Result<S::Params, Vec<ParamProblem>> {
-    params::read::<S::Params>(value)
+fn read<D: Describe>(value: &Value) -> Result<D::Params, Vec<ParamProblem>> {
+    params::read::<D::Params>(value)
 }
 
-fn normalize<S: Stage>(value: &Value) -> Result<Value, Vec<ParamProblem>> {
-    let params = read::<S>(value)?;
+fn normalize<D: Describe>(value: &Value) -> Result<Value, Vec<ParamProblem>> {
+    let params = read::<D>(value)?;
     let mut problems = Problems::default();
-    S::check(&params, &mut problems);
+    D::check(&params, &mut problems);
     let found = problems.into_vec();
     if !found.is_empty() {
         return Err(found);
@@ -127,15 +154,15 @@ fn normalize<S: Stage>(value: &Value) -> Result<Value, Vec<ParamProblem>> {
     })
 }
 
-fn ports<S: Stage>(value: &Value) -> Result<Ports, Vec<ParamProblem>> {
-    Ok(S::ports(&read::<S>(value)?))
+fn ports<D: Describe>(value: &Value) -> Result<Ports, Vec<ParamProblem>> {
+    Ok(D::ports(&read::<D>(value)?))
 }
 
-fn needs<S: Stage>(value: &Value) -> Result<Needs, Vec<ParamProblem>> {
-    Ok(S::needs(&read::<S>(value)?))
+fn needs<D: Describe>(value: &Value) -> Result<Needs, Vec<ParamProblem>> {
+    Ok(D::needs(&read::<D>(value)?))
 }
 
 fn run<S: Stage>(value: &Value, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
-    let params = read::<S>(value).map_err(StageError::params)?;
+    let params = read::<S::Kind>(value).map_err(StageError::params)?;
     S::run(&params, ctx)
 }

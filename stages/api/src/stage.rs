@@ -1,15 +1,16 @@
-//! The trait that an author of a stage kind implements.
+//! The two traits that an author of a stage kind implements: what the kind looks like, and what it does.
+//!
+//! They are apart so that a program can plan with a kind without linking what the kind runs on. `dril-pipe` describes
+//! the learning kinds (package `dril-kinds`) and starts another executable to run them: merely loading libtorch costs a
+//! quarter of a second and 120 MB, which every `plan`, every cached `run` and every table would pay otherwise.
 
 use schemars::JsonSchema;
 use serde::{Serialize, de::DeserializeOwned};
 
 use crate::{Ctx, Needs, Ports, Problems, StageError};
 
-/// A stage kind. A stage is a function from parameters, seed and inputs to outputs; it has no self.
-///
-/// Its result may depend on the parameters, the seed, the contents of its inputs and their labels, and on nothing
-/// else: not on time, host, thread count or the order in which other stages ran. The engine caches by exactly these.
-pub trait Stage: 'static {
+/// What a stage kind looks like from outside: name, parameters, ports.
+pub trait Describe: 'static {
     /// The name after `kind:` in the pipeline file, in kebab-case.
     const KIND: &'static str;
     /// Raised when equal inputs give other outputs than before; every cached result of the kind is then stale.
@@ -36,10 +37,21 @@ pub trait Stage: 'static {
         let _ = params;
         Needs::default()
     }
+}
+
+/// A stage kind that can run. A stage is a function from parameters, seed and inputs to outputs; it has no self.
+///
+/// Its result may depend on the parameters, the seed, the contents of its inputs and their labels, and on nothing
+/// else: not on time, host, thread count or the order in which other stages ran. The engine caches by exactly these.
+///
+/// A kind that links nothing heavy implements both traits on one type (`type Kind = Self`).
+pub trait Stage: 'static {
+    /// What the kind looks like.
+    type Kind: Describe;
 
     /// Does the work: reads `ctx.input(..)`, writes every `ctx.output(..)`.
     ///
     /// # Errors
     /// [`StageError::Cancelled`] after a clean stop at `ctx.cancelled()`; any other error is the stage's failure.
-    fn run(params: &Self::Params, ctx: &mut Ctx<'_>) -> Result<(), StageError>;
+    fn run(params: &<Self::Kind as Describe>::Params, ctx: &mut Ctx<'_>) -> Result<(), StageError>;
 }

@@ -1,0 +1,91 @@
+//! `bc`: behaviour cloning.
+
+use dril_stage_api::{Artifact, Describe, Needs, Ports, Problems};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::{Network, PolicyFamily, default};
+
+/// Behaviour cloning: fits an agent's mean action to the demonstrated ones, with early stopping.
+#[derive(Clone, Copy, Debug)]
+pub struct Bc;
+
+/// How demonstrations are divided into training and validation data.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Split {
+    /// By single pairs of observation and action, as the reference does. Neighbouring frames fall on both sides, so
+    /// validation is optimistic.
+    Pairs,
+    /// By whole trajectories; a single trajectory is cut into two blocks.
+    Trajectories,
+}
+
+/// What stands under `with:` of a `bc` stage.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct BcParams {
+    /// The distribution over actions.
+    pub policy: PolicyFamily,
+    /// The layers; by default those that fit the observation: `dril-cnn` or `mlp`.
+    #[serde(default)]
+    pub network: Option<Network>,
+    /// Passes over the training data at most.
+    #[serde(default = "default::int::<2001>")]
+    pub max_epochs: u64,
+    /// Passes without a better validation loss after which training ends; the best weights are kept.
+    #[serde(default = "default::int::<20>")]
+    pub patience: u64,
+    /// Pairs a step. The thesis says 32; its code has 100.
+    #[serde(default = "default::int::<100>")]
+    pub batch_size: u64,
+    /// Adam's step size.
+    #[serde(default = "default::ratio::<25, 100_000>")]
+    pub learning_rate: f64,
+    /// Share of the data that is held out.
+    #[serde(default = "default::ratio::<1, 5>")]
+    pub validation_fraction: f64,
+    /// How data is held out.
+    #[serde(default = "pairs")]
+    pub split: Split,
+}
+
+pub(crate) fn pairs() -> Split {
+    Split::Pairs
+}
+
+impl Describe for Bc {
+    const KIND: &'static str = "bc";
+    const REVISION: u32 = 1;
+    const ABOUT: &'static str = "clones a demonstrated behaviour, with early stopping";
+    type Params = BcParams;
+
+    fn check(params: &BcParams, problems: &mut Problems) {
+        problems.positive("max_epochs", params.max_epochs);
+        problems.positive("patience", params.patience);
+        problems.positive("batch_size", params.batch_size);
+        problems.positive_number("learning_rate", params.learning_rate);
+        check_fraction(params.validation_fraction, problems);
+    }
+
+    fn ports(_: &BcParams) -> Ports {
+        Ports::new()
+            .input("demonstrations", Artifact::Demonstrations, "what to imitate")
+            .output("policy", Artifact::Policy, "safetensors", "the agent with the best validation loss")
+            .output("log", Artifact::TrainingLog, "csv", "one row per epoch")
+    }
+
+    fn needs(params: &BcParams) -> Needs {
+        Needs::seconds(1.0 + 2.0 * params.max_epochs.min(100) as f64)
+    }
+}
+
+/// Reports a share of held-out data that leaves nothing on one side.
+pub(crate) fn check_fraction(value: f64, problems: &mut Problems) {
+    if !(value > 0.0 && value < 1.0) {
+        problems.add(
+            "validation_fraction",
+            format!("`validation_fraction` is {value}, expected a number more than 0 and less than 1"),
+        );
+    }
+}

@@ -1,0 +1,16 @@
+//! Defaults that stand where the field stands: `#[serde(default = "default::int::<8>")]`.
+
+/// The whole number `N`.
+pub(crate) fn int<const N: u64>() -> u64 {
+    N
+}
+
+/// The number `A / B`, rounded once: the same as the decimal literal.
+pub(crate) fn ratio<const A: i64, const B: i64>() -> f64 {
+    A as f64 / B as f64
+}
+
+/// Yes.
+pub(crate) fn yes() -> bool {
+    true
+}

@@ -1,0 +1,67 @@
+//! `evaluate`: scores an agent on a fixed list of tracks.
+
+use dril_envs::EnvConfig;
+use dril_stage_api::{Artifact, Describe, Needs, Ports, Problems};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::update::check_env;
+use crate::{Mode, default};
+
+/// Plays one episode on each track of a fixed list and writes the scores.
+#[derive(Clone, Copy, Debug)]
+pub struct Evaluate;
+
+/// What stands under `with:` of an `evaluate` stage.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct EvaluateParams {
+    /// The environment.
+    pub env: EnvConfig,
+    /// How the agent acts.
+    pub mode: Mode,
+    /// Episodes, each on a track of its own.
+    #[serde(default = "default::int::<100>")]
+    pub episodes: u64,
+    /// Episode i is played on the track of seed `first_track_seed` + i: the same list for every agent. (The reference
+    /// keeps the first 100 episodes that finish on 8 endless environments, which favours short ones.)
+    pub first_track_seed: u64,
+    /// Probability, drawn at each step, of acting by the mean although a draw was asked for. The reference's
+    /// "stochastic" evaluation has 0.1.
+    #[serde(default)]
+    pub mean_action_probability: f64,
+}
+
+impl Describe for Evaluate {
+    const KIND: &'static str = "evaluate";
+    const REVISION: u32 = 1;
+    const ABOUT: &'static str = "plays one episode on each track of a fixed list and writes the scores";
+    type Params = EvaluateParams;
+
+    fn check(params: &EvaluateParams, problems: &mut Problems) {
+        check_env(&params.env, problems);
+        problems.positive("episodes", params.episodes);
+        problems.fraction("mean_action_probability", params.mean_action_probability);
+        check_tracks(params.first_track_seed, params.episodes, problems);
+    }
+
+    fn ports(_: &EvaluateParams) -> Ports {
+        Ports::new().input("policy", Artifact::Policy, "the agent").output(
+            "scores",
+            Artifact::Scores,
+            "csv",
+            "one row per episode: track seed, score, steps, outcome",
+        )
+    }
+
+    fn needs(params: &EvaluateParams) -> Needs {
+        Needs::seconds(1.0 + 0.3 * params.episodes as f64)
+    }
+}
+
+/// Reports a list of track seeds that runs over the end of the numbers.
+pub(crate) fn check_tracks(first: u64, count: u64, problems: &mut Problems) {
+    if first.checked_add(count).is_none() {
+        problems.add("first_track_seed", format!("`first_track_seed` is {first}: {count} seeds from there do not fit 64 bits"));
+    }
+}
