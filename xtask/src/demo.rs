@@ -1,0 +1,49 @@
+//! `cargo xtask demo`: from a fresh clone to Table 22 at smoke size, in one command.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use crate::error::Error;
+use crate::{libtorch, process};
+
+/// Builds in release mode, runs the thesis pipeline's smoke profile with `extra` arguments and shows its Table 22.
+///
+/// # Errors
+/// Those of [`libtorch::ensure`], of the build and of the run (whose exit code is passed on).
+pub fn run(root: &Path, extra: &[String]) -> Result<(), Error> {
+    libtorch::ensure(root)?;
+    process::run(&mut process::cargo(root, &["build", "--release"]))?;
+    let program = target_folder(root, std::env::var_os("CARGO_TARGET_DIR").map(PathBuf::from))
+        .join("release/dril-pipe");
+    let mut pipeline = Command::new(program);
+    pipeline.current_dir(root).args(["run", "pipelines/thesis.yaml", "--profile", "smoke"]).args(extra);
+    process::run(&mut pipeline)?;
+    show(&root.join("results/thesis-smoke"))
+}
+
+/// As cargo, run in `root`, sees it.
+fn target_folder(root: &Path, variable: Option<PathBuf>) -> PathBuf {
+    root.join(variable.filter(|folder| !folder.as_os_str().is_empty()).unwrap_or_else(|| "target".into()))
+}
+
+fn show(results: &Path) -> Result<(), Error> {
+    let table = results.join("table22.md");
+    let text = fs::read_to_string(&table).map_err(Error::io("read", &table))?;
+    println!("\n{}\nAll tables and figures: {}", text.trim_end(), results.display());
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_target_folder_is_cargos() {
+        let root = Path::new("/p");
+        assert_eq!(target_folder(root, None), Path::new("/p/target"));
+        assert_eq!(target_folder(root, Some("".into())), Path::new("/p/target"));
+        assert_eq!(target_folder(root, Some("/tmp/t".into())), Path::new("/tmp/t"));
+        assert_eq!(target_folder(root, Some("t".into())), Path::new("/p/t"));
+    }
+}
