@@ -2,19 +2,62 @@
 //! Reads records, runs nothing, writes nothing.
 
 use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
+use crate::fsx::FsError;
 use crate::resolve::{Graph, StageIndex};
-use crate::store::{Digest, Key, Record};
+use crate::store::{Digest, Key, Record, Store, StoreError};
 
 /// What will happen to each stage of a graph.
 #[derive(Debug)]
-pub struct Plan {
+pub struct Plan<'g> {
     /// The pipeline.
-    pub graph: Graph,
+    pub graph: &'g Graph,
     /// One verdict a stage, in topological order.
     pub steps: Vec<(StageIndex, Verdict)>,
-    /// Digests of the files from outside, by path as resolved.
-    pub files: BTreeMap<String, Digest>,
+    /// The files from outside, by path as the pipeline file has it.
+    pub files: BTreeMap<String, OutsideFile>,
+}
+
+/// A file from outside, as it was when the plan was made.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct OutsideFile {
+    /// Where it is.
+    pub path: PathBuf,
+    /// The name of its content.
+    pub digest: Digest,
+}
+
+/// Why no plan could be made.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum PlanError {
+    /// Files from outside that cannot be read; all of them.
+    #[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))]
+    Files(Vec<MissingFile>),
+    /// The store cannot be read.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+}
+
+/// A file from outside that cannot be read.
+#[derive(Debug, thiserror::Error)]
+#[error("{place}: {source}")]
+pub struct MissingFile {
+    /// Where the pipeline file names it: `thesis.yaml:14:9`.
+    pub place: String,
+    /// What was tried, on which path, and the system's answer.
+    pub source: FsError,
+}
+
+/// Says what would run, and why. `base` is the folder of the pipeline file, to which its paths are relative.
+///
+/// # Errors
+/// A file from outside or the store cannot be read.
+pub fn plan<'g>(graph: &'g Graph, store: &Store, base: &Path) -> Result<Plan<'g>, PlanError> {
+    let _ = (store, base);
+    Ok(Plan { graph, steps: Vec::new(), files: BTreeMap::new() })
 }
 
 /// What will happen to a stage.
@@ -36,8 +79,8 @@ pub enum Verdict {
     },
     /// Its key is known once these have run (directly or in between); it may still turn out to be cached.
     DependsOn {
-        /// The stages that will run and feed it directly or through others, nearest first.
-        stages: Vec<StageIndex>,
+        /// The stages with the verdict [`Verdict::Run`] that feed it directly or through others, in node order.
+        stages: Arc<[StageIndex]>,
         /// What is known to differ already (its own parameters, revision or seed).
         why: Vec<Reason>,
     },
@@ -85,9 +128,14 @@ pub enum Reason {
         /// What is wired there: stage and output, or file.
         from: String,
     },
-    /// The record is there, but a file that it names is not.
+    /// The record is there, but a file that it names is not, or not in full.
     Lost {
         /// The output.
         output: String,
+    },
+    /// The record is there, but cannot be read.
+    Damaged {
+        /// What is wrong with it.
+        error: String,
     },
 }

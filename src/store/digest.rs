@@ -1,0 +1,109 @@
+//! Names of contents and of work: 32 bytes of blake3, told apart by type so that one is never taken for the other.
+
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+/// A text that is not 64 hexadecimal digits.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("`{0}` is not a digest: expected 64 hexadecimal digits in lower case")]
+pub struct NotHex(String);
+
+macro_rules! hex_name {
+    ($(#[$doc:meta])* $name:ident) => {
+        $(#[$doc])*
+        #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+        #[serde(into = "String", try_from = "String")]
+        pub struct $name([u8; 32]);
+
+        impl $name {
+            /// From its bytes.
+            pub const fn new(bytes: [u8; 32]) -> Self {
+                Self(bytes)
+            }
+
+            /// Its bytes.
+            pub const fn as_bytes(&self) -> &[u8; 32] {
+                &self.0
+            }
+
+            /// The 64 hexadecimal digits.
+            pub fn hex(&self) -> String {
+                blake3::Hash::from_bytes(self.0).to_hex().as_str().to_owned()
+            }
+
+            /// The first digits, enough for people to tell two apart.
+            pub fn short(&self) -> String {
+                self.hex()[..12].to_owned()
+            }
+        }
+
+        impl fmt::Display for $name {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str(blake3::Hash::from_bytes(self.0).to_hex().as_str())
+            }
+        }
+
+        impl fmt::Debug for $name {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                write!(f, "{}({})", stringify!($name), self.short())
+            }
+        }
+
+        impl FromStr for $name {
+            type Err = NotHex;
+            fn from_str(text: &str) -> Result<Self, NotHex> {
+                let lower = text.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'));
+                match blake3::Hash::from_hex(text) {
+                    Ok(hash) if lower => Ok(Self(*hash.as_bytes())),
+                    _ => Err(NotHex(text.to_owned())),
+                }
+            }
+        }
+
+        impl TryFrom<String> for $name {
+            type Error = NotHex;
+            fn try_from(text: String) -> Result<Self, NotHex> {
+                text.parse()
+            }
+        }
+
+        impl From<$name> for String {
+            fn from(name: $name) -> String {
+                name.hex()
+            }
+        }
+    };
+}
+
+hex_name! {
+    /// The name of a content: blake3 of its bytes.
+    Digest
+}
+hex_name! {
+    /// The name of a piece of work: blake3 over all that its result depends on (see [`crate::plan`]).
+    Key
+}
+
+impl Digest {
+    /// The name of these bytes.
+    pub fn of(bytes: &[u8]) -> Self {
+        Self(*blake3::hash(bytes).as_bytes())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn hex_is_read_back_and_anything_else_is_refused() {
+        let digest = Digest::of(b"abc");
+        assert_eq!(digest.hex().parse(), Ok(digest));
+        assert_eq!(digest.to_string(), "6437b3ac38465133ffb63b75273a8db548c558465d79db03fd359c6cd5bd9d85");
+        for wrong in ["", "6437", &digest.hex().to_uppercase(), &format!("{digest}0"), "../../etc/passwd"] {
+            assert!(wrong.parse::<Digest>().is_err(), "{wrong}");
+        }
+    }
+}
