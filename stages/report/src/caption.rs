@@ -1,0 +1,107 @@
+//! What stands around a Markdown table: title, profile, and what its numbers are.
+
+use dril_stage_api::Problems;
+
+use crate::markdown::{escape, one_line};
+
+/// The profile that is taken for the full experiment unless the pipeline file names another.
+pub(crate) fn full_profile() -> String {
+    "thesis".to_owned()
+}
+
+/// The parameters that every table has.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Caption<'a> {
+    pub(crate) title: &'a str,
+    pub(crate) profile: &'a str,
+    pub(crate) full_profile: &'a str,
+    pub(crate) note: &'a str,
+}
+
+impl Caption<'_> {
+    /// Reports texts that cannot stand where they are printed.
+    pub(crate) fn check(&self, problems: &mut Problems) {
+        if one_line(self.title).is_empty() {
+            problems.add("title", "`title` is empty, expected the table's title");
+        }
+        for (field, value) in [("profile", self.profile), ("full_profile", self.full_profile)] {
+            if value.trim().is_empty() || value.contains(|c: char| c.is_control() || c == '`') {
+                let message = "expected a profile's name, without line breaks and backticks";
+                problems.add(field, format!("`{field}` is {value:?}, {message}"));
+            }
+        }
+    }
+
+    /// The whole page: title, a warning where the sizes are reduced, `lead` (what holds for the whole table), the
+    /// table, and `remarks` (what its numbers are) as a list.
+    pub(crate) fn page(&self, lead: &[String], table: &str, remarks: &[String]) -> String {
+        let mut blocks = vec![format!("# {}", escape(self.title))];
+        if self.profile != self.full_profile {
+            blocks.push(format!(
+                "> made at profile `{}`: sizes are reduced, scores are not comparable with the thesis",
+                self.profile
+            ));
+        }
+        blocks.extend(lead.iter().cloned());
+        blocks.push(table.trim_end().to_owned());
+        let mut list: Vec<String> = remarks.iter().map(|remark| format!("- {remark}")).collect();
+        list.push(format!("- profile: `{}`", self.profile));
+        blocks.push(list.join("\n"));
+        if !self.note.trim().is_empty() {
+            blocks.push(escape(self.note));
+        }
+        blocks.join("\n\n") + "\n"
+    }
+}
+
+/// What a cell's `mean ± std` is, for cells of so many episodes.
+pub(crate) fn statistic(episodes: impl IntoIterator<Item = usize>) -> String {
+    let mut range: Option<(usize, usize)> = None;
+    for n in episodes {
+        range = Some(range.map_or((n, n), |(low, high)| (low.min(n), high.max(n))));
+    }
+    let episodes = match range {
+        None => "its episodes".to_owned(),
+        Some((1, 1)) => "1 episode each".to_owned(),
+        Some((low, high)) if low == high => format!("{low} episodes each"),
+        Some((low, high)) => format!("{low} to {high} episodes each"),
+    };
+    format!("this run: mean ± population standard deviation (ddof 0) over {episodes}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const CAPTION: Caption<'_> =
+        Caption { title: "T", profile: "smoke", full_profile: "thesis", note: "a *note*\nof two lines\n" };
+
+    #[test]
+    fn only_a_reduced_profile_is_warned_about_and_both_are_named() {
+        let smoke = CAPTION.page(&[], "| t |\n", &[]);
+        assert!(smoke.contains("> made at profile `smoke`: sizes are reduced, scores are not comparable"));
+        assert!(smoke.contains("\n- profile: `smoke`\n"));
+        let thesis = Caption { profile: "thesis", ..CAPTION }.page(&[], "| t |\n", &[]);
+        assert!(!thesis.contains("comparable") && thesis.contains("\n- profile: `thesis`\n"), "{thesis}");
+    }
+
+    #[test]
+    fn a_note_stands_under_the_table_as_one_paragraph() {
+        assert!(CAPTION.page(&[], "| t |\n", &[]).ends_with("\n\na \\*note\\* of two lines\n"));
+    }
+
+    #[test]
+    fn an_empty_title_and_a_profile_that_is_no_name_are_refused() {
+        let mut problems = Problems::default();
+        Caption { title: " \n", profile: "", full_profile: "a`b", note: "" }.check(&mut problems);
+        let paths: Vec<String> = problems.into_vec().iter().map(|p| p.path.join(".")).collect();
+        assert_eq!(paths, ["title", "profile", "full_profile"]);
+    }
+
+    #[test]
+    fn the_number_of_episodes_is_a_range_where_cells_differ() {
+        assert!(statistic([100, 100]).ends_with("over 100 episodes each"));
+        assert!(statistic([3, 1, 2]).ends_with("over 1 to 3 episodes each"));
+        assert!(statistic([1]).ends_with("over 1 episode each"));
+    }
+}

@@ -1,0 +1,189 @@
+//! The kind `leaderboard`: published results of other methods, and under them the evaluations of this run.
+
+use dril_stage_api::{Artifact, Ctx, Describe, Ports, Problems, Stage, StageError};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::caption::{self, Caption, statistic};
+use crate::markdown::{self, Column};
+use crate::number::precise;
+use crate::reference::{self, Published, Reference, Row};
+use crate::samples::{self, Group};
+use crate::score::Score;
+
+/// The label that names a row; a named fan-in of the pipeline file gives it to its items.
+const NAME: &str = "name";
+/// The source of the rows that this run adds.
+const OURS: &str = "this run";
+/// The source of reference rows that stand beside a row of this run instead of in one of their own.
+const THESIS: &str = "thesis";
+const COLUMNS: [&str; 7] = ["algorithm", "mean", "std", "episodes", "source", "thesis_mean", "thesis_std"];
+
+/// Parameters of [`Leaderboard`].
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LeaderboardParams {
+    /// The heading.
+    pub title: String,
+    /// The profile at which the table is made; printed with it.
+    pub profile: String,
+    /// The profile whose sizes are those of the thesis. A table made at any other says that its sizes are reduced.
+    #[serde(default = "caption::full_profile")]
+    pub full_profile: String,
+    /// A sentence to print under the Markdown table.
+    #[serde(default)]
+    pub note: String,
+}
+
+impl LeaderboardParams {
+    fn caption(&self) -> Caption<'_> {
+        let Self { title, profile, full_profile, note } = self;
+        Caption { title, profile, full_profile, note }
+    }
+}
+
+/// Lists published results and this run's, one algorithm a row.
+///
+/// Inputs: `scores`, evaluations with the label `name` (evaluations of one name are pooled); `reference`, a CSV file
+/// with the columns `algorithm,mean,std,source`. First come the reference's rows in its own order, then this run's,
+/// with source `this run`. A reference row with source `thesis` whose algorithm this run has too is shown beside this
+/// run's row (`thesis_mean`, `thesis_std`) and not in one of its own.
+///
+/// Outputs: `csv` with the columns `algorithm,mean,std,episodes,source,thesis_mean,thesis_std` (this run's numbers with
+/// two decimals, published ones as the reference writes them; `episodes` is empty for those), and `markdown`.
+pub struct Leaderboard;
+
+impl Describe for Leaderboard {
+    const KIND: &'static str = "leaderboard";
+    const REVISION: u32 = 1;
+    const ABOUT: &'static str = "list published results and, under them, evaluations of this run";
+    const SEEDED: bool = false;
+    type Params = LeaderboardParams;
+
+    fn check(params: &LeaderboardParams, problems: &mut Problems) {
+        params.caption().check(problems);
+    }
+
+    fn ports(_: &LeaderboardParams) -> Ports {
+        Ports::new()
+            .many(
+                samples::PORT,
+                Artifact::Scores,
+                "the evaluations, each named: `scores: { some name: stage }`",
+            )
+            .input(
+                reference::PORT,
+                Artifact::File,
+                "published results: a CSV file of algorithm, mean, std, source",
+            )
+            .output("csv", Artifact::Table, "csv", "one line an algorithm and source")
+            .output("markdown", Artifact::Table, "md", "the same for people")
+    }
+}
+
+impl Stage for Leaderboard {
+    type Kind = Self;
+
+    fn run(params: &LeaderboardParams, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
+        let samples = samples::read(ctx)?;
+        let hint = "give each item a name in the pipeline file, as in `scores: { some name: stage }`";
+        let groups = samples::pool(&samples, &[NAME.to_owned()], hint)?;
+        let reference = Reference::read(ctx.input(reference::PORT)?, &["algorithm", "source"])?;
+        let entries = entries(&groups, &reference);
+        ctx.write_output("csv", csv_text(&entries).map_err(StageError::failed)?)?;
+        ctx.write_output("markdown", page(params, &entries))
+    }
+}
+
+/// A row of the list.
+enum Entry<'a> {
+    Published(&'a Row),
+    Ours { group: &'a Group, thesis: Option<&'a Row> },
+}
+
+impl Entry<'_> {
+    fn algorithm(&self) -> &str {
+        match self {
+            Self::Published(row) => &row.key[0],
+            Self::Ours { group, .. } => &group.key[0],
+        }
+    }
+
+    fn source(&self) -> &str {
+        match self {
+            Self::Published(row) => &row.key[1],
+            Self::Ours { .. } => OURS,
+        }
+    }
+
+    fn episodes(&self) -> Option<usize> {
+        match self {
+            Self::Published(_) => None,
+            Self::Ours { group, .. } => Some(group.summary.episodes),
+        }
+    }
+
+    fn thesis(&self) -> Option<&Row> {
+        match self {
+            Self::Published(_) => None,
+            Self::Ours { thesis, .. } => *thesis,
+        }
+    }
+
+    fn score(&self) -> Option<Score> {
+        match self {
+            Self::Published(row) => Score::published(row),
+            Self::Ours { group, .. } => Some(Score::measured(&group.summary)),
+        }
+    }
+}
+
+fn entries<'a>(groups: &'a [Group], reference: &'a Reference) -> Vec<Entry<'a>> {
+    let beside_ours =
+        |row: &&Row| row.key[1] == THESIS && groups.iter().any(|group| group.key[0] == row.key[0]);
+    let literature = reference.rows.iter().filter(|row| !beside_ours(row)).map(Entry::Published);
+    let ours = groups.iter().map(|group| {
+        let thesis = reference.get(&[group.key[0].clone(), THESIS.to_owned()]);
+        Entry::Ours { group, thesis }
+    });
+    literature.chain(ours).collect()
+}
+
+fn csv_text(entries: &[Entry<'_>]) -> Result<Vec<u8>, Box<dyn std::error::Error>> {
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    writer.write_record(COLUMNS)?;
+    for entry in entries {
+        let (mean, std) = match entry {
+            Entry::Published(row) => (text(row.mean.as_ref()), text(row.std.as_ref())),
+            Entry::Ours { group, .. } => (precise(group.summary.mean), precise(group.summary.std)),
+        };
+        let episodes = entry.episodes().map_or_else(String::new, |n| n.to_string());
+        let thesis_mean = text(entry.thesis().and_then(|row| row.mean.as_ref()));
+        let thesis_std = text(entry.thesis().and_then(|row| row.std.as_ref()));
+        let (algorithm, source) = (entry.algorithm(), entry.source());
+        writer.write_record([algorithm, &mean, &std, &episodes, source, &thesis_mean, &thesis_std])?;
+    }
+    Ok(writer.into_inner()?)
+}
+
+fn text(number: Option<&Published>) -> String {
+    number.map_or_else(String::new, |number| number.text.clone())
+}
+
+fn page(params: &LeaderboardParams, entries: &[Entry<'_>]) -> String {
+    let scores: Vec<Option<Score>> = entries.iter().map(Entry::score).collect();
+    let thesis: Vec<Option<Score>> =
+        entries.iter().map(|entry| entry.thesis().and_then(Score::published)).collect();
+    let table = markdown::table(&[
+        Column::words("algorithm", entries.iter().map(Entry::algorithm)),
+        Column::words("source", entries.iter().map(Entry::source)),
+        Column::scores("score", &scores),
+        Column::scores("thesis", &thesis),
+        Column::counts("episodes", entries.iter().map(Entry::episodes)),
+    ]);
+    let remarks = [
+        statistic(entries.iter().filter_map(Entry::episodes)),
+        "all other sources: mean ± standard deviation as reported there".to_owned(),
+    ];
+    params.caption().page(&[], &table, &remarks)
+}

@@ -1,0 +1,130 @@
+//! Labelled evaluations from a fan-in, and their pooling by some of their labels.
+
+use dril_stage_api::{Ctx, InputItem, Labels, StageError, scores};
+
+use crate::stats::Summary;
+
+/// The name of the input in every kind.
+pub(crate) const PORT: &str = "scores";
+
+/// One evaluation: the scores of its episodes, and where it comes from.
+#[derive(Clone, Debug)]
+pub(crate) struct Sample<'a> {
+    pub(crate) item: InputItem<'a>,
+    pub(crate) scores: Vec<f64>,
+}
+
+/// The evaluations that share the values of the keys, taken as one.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Group {
+    pub(crate) key: Vec<String>,
+    /// All episodes of all its evaluations.
+    pub(crate) summary: Summary,
+    /// How many evaluations it holds.
+    pub(crate) evaluations: usize,
+}
+
+/// Reads the evaluations at input [`PORT`], in the order of the matrix.
+///
+/// # Errors
+/// A file that holds no scores, two evaluations with the same labels (which nothing could tell apart, and which are
+/// most often one evaluation wired twice), or a request to stop.
+pub(crate) fn read<'a>(ctx: &Ctx<'a>) -> Result<Vec<Sample<'a>>, StageError> {
+    let items = ctx.inputs(PORT);
+    if items.is_empty() {
+        return Err(StageError::Port(format!(
+            "input `{PORT}` is not connected, expected at least one artifact"
+        )));
+    }
+    unique(PORT, &items)?;
+    let mut samples = Vec::with_capacity(items.len());
+    for item in items {
+        ctx.stop_if_cancelled()?;
+        let scores = scores::read(PORT, item.path)?.iter().map(|row| row.score).collect();
+        samples.push(Sample { item, scores });
+    }
+    Ok(samples)
+}
+
+/// Refuses two items with the same labels.
+pub(crate) fn unique(port: &str, items: &[InputItem<'_>]) -> Result<(), StageError> {
+    for (n, item) in items.iter().enumerate() {
+        if let Some(first) = items[..n].iter().position(|other| other.labels == item.labels) {
+            let message = format!(
+                "items {} and {} of this input have the same labels ({}), expected each combination once; wire each \
+                 stage once, or give the items names, as in `{port}: {{ first: ..., second: ... }}`",
+                first + 1,
+                n + 1,
+                describe(item.labels)
+            );
+            return Err(StageError::input(port, item.path, message));
+        }
+    }
+    Ok(())
+}
+
+/// The samples by the values of `keys`, groups and episodes in the order of the samples.
+///
+/// # Errors
+/// A sample without one of the labels (`hint` says how to mend it), or scores too large to average.
+pub(crate) fn pool(samples: &[Sample<'_>], keys: &[String], hint: &str) -> Result<Vec<Group>, StageError> {
+    let mut pools: Vec<(Vec<String>, Vec<&Sample<'_>>)> = Vec::new();
+    for (n, sample) in samples.iter().enumerate() {
+        let key = key(n, &sample.item, keys, hint)?;
+        match pools.iter_mut().find(|(other, _)| *other == key) {
+            Some((_, members)) => members.push(sample),
+            None => pools.push((key, vec![sample])),
+        }
+    }
+    pools
+        .into_iter()
+        .map(|(key, members)| {
+            let scores: Vec<f64> = members.iter().flat_map(|sample| &sample.scores).copied().collect();
+            let summary = summarise(&scores, &members[0].item)?;
+            Ok(Group { key, summary, evaluations: members.len() })
+        })
+        .collect()
+}
+
+/// The summary of scores that [`read`] gave; `item` is named where they are too large.
+pub(crate) fn summarise(scores: &[f64], item: &InputItem<'_>) -> Result<Summary, StageError> {
+    Summary::of(scores).ok_or_else(|| {
+        let labels = describe(item.labels);
+        StageError::input(PORT, item.path, format!("the scores ({labels}) are too large to average"))
+    })
+}
+
+fn key(n: usize, item: &InputItem<'_>, keys: &[String], hint: &str) -> Result<Vec<String>, StageError> {
+    let value = |key: &String| {
+        item.labels.get(key).cloned().ok_or_else(|| {
+            let seen = describe(item.labels);
+            let message =
+                format!("item {} of this input has no label `{key}`; its labels are {seen}; {hint}", n + 1);
+            StageError::input(PORT, item.path, message)
+        })
+    };
+    keys.iter().map(value).collect()
+}
+
+/// The labels outside `keys` over which groups were pooled, each with its values in the order of the samples.
+pub(crate) fn pooled_over(samples: &[Sample<'_>], keys: &[String]) -> Vec<(String, Vec<String>)> {
+    let mut axes: Vec<(String, Vec<String>)> = Vec::new();
+    let labels = samples.iter().flat_map(|sample| sample.item.labels);
+    for (axis, value) in labels.filter(|(axis, _)| !keys.contains(axis)) {
+        match axes.iter_mut().find(|(other, _)| other == axis) {
+            Some((_, values)) if values.contains(value) => {}
+            Some((_, values)) => values.push(value.clone()),
+            None => axes.push((axis.clone(), vec![value.clone()])),
+        }
+    }
+    axes.retain(|(_, values)| values.len() > 1);
+    axes
+}
+
+/// `expert=clipped, mode=stochastic`, or `none`.
+pub(crate) fn describe(labels: &Labels) -> String {
+    if labels.is_empty() {
+        return "none".to_owned();
+    }
+    labels.iter().map(|(axis, value)| format!("{axis}={value}")).collect::<Vec<_>>().join(", ")
+}

@@ -1,0 +1,197 @@
+//! The kind `table`: evaluations by their labels, beside the values that the thesis reports.
+//!
+//! The CSV has one line a combination of keys and is meant for programs; the Markdown is the same as a grid for people.
+
+use dril_stage_api::{Artifact, Ctx, Describe, Ports, Problems, Stage, StageError};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::caption::{self, Caption, statistic};
+use crate::markdown::{self, escape};
+use crate::number::precise;
+use crate::pivot::{Cell, Pivot, sort_by_appearance};
+use crate::reference::{self, Published, Reference, Row};
+use crate::samples::{self, Group, Sample};
+
+/// The columns that follow the keys in the CSV.
+const VALUES: [&str; 5] = ["mean", "std", "episodes", "thesis_mean", "thesis_std"];
+
+/// Parameters of [`Table`].
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct TableParams {
+    /// The heading.
+    pub title: String,
+    /// The profile at which the table is made; printed with it.
+    pub profile: String,
+    /// The profile whose sizes are those of the thesis. A table made at any other says that its sizes are reduced.
+    #[serde(default = "caption::full_profile")]
+    pub full_profile: String,
+    /// The labels that tell the cells apart: the first columns of the CSV, in this order. Evaluations that differ in
+    /// other labels only (seeds, say) are pooled: their episodes count as those of one cell.
+    pub keys: Vec<String>,
+    /// The keys that run across in the Markdown table, the outer one first; the others run down.
+    #[serde(default)]
+    pub columns: Vec<String>,
+    /// A sentence to print under the Markdown table.
+    #[serde(default)]
+    pub note: String,
+}
+
+impl TableParams {
+    fn caption(&self) -> Caption<'_> {
+        let Self { title, profile, full_profile, note, .. } = self;
+        Caption { title, profile, full_profile, note }
+    }
+}
+
+/// Makes a table of evaluations, beside published values of the same combinations.
+///
+/// Inputs: `scores`, any number of evaluations, each with its labels; `reference`, if given, a CSV file with the keys,
+/// `mean` and `std` as columns. Rows of the reference that match no evaluation are left out; evaluations that match no
+/// row of the reference have empty `thesis_mean` and `thesis_std`.
+///
+/// Outputs: `csv` with the columns `<keys>,mean,std,episodes,thesis_mean,thesis_std` (`mean` and `std` with two
+/// decimals, the thesis's numbers as the reference writes them), and `markdown`, the same rounded as in the thesis.
+/// `std` is the population standard deviation over the episodes (see [`crate::stats::Summary::std`]).
+///
+/// Rows and columns stand in the order in which their values first appear at the input, which is that of the matrix.
+pub struct Table;
+
+impl Describe for Table {
+    const KIND: &'static str = "table";
+    const REVISION: u32 = 1;
+    const ABOUT: &'static str = "tabulate evaluations by their labels, beside the thesis's values";
+    const SEEDED: bool = false;
+    type Params = TableParams;
+
+    fn check(params: &TableParams, problems: &mut Problems) {
+        params.caption().check(problems);
+        check_keys(&params.keys, problems);
+        for (n, column) in params.columns.iter().enumerate() {
+            let path = format!("columns.{n}");
+            if !params.keys.contains(column) {
+                problems.add(
+                    &path,
+                    format!("`{column}` is not in `keys`, expected one of {}", list(&params.keys)),
+                );
+            }
+            if params.columns[..n].contains(column) {
+                problems.add(&path, format!("`{column}` is in `columns` twice, expected it once"));
+            }
+        }
+    }
+
+    fn ports(_: &TableParams) -> Ports {
+        Ports::new()
+            .many(samples::PORT, Artifact::Scores, "the evaluations; their labels say where each belongs")
+            .optional(
+                reference::PORT,
+                Artifact::File,
+                "the thesis's values: a CSV file of the keys, mean and std",
+            )
+            .output("csv", Artifact::Table, "csv", "one line a combination of the keys")
+            .output("markdown", Artifact::Table, "md", "the same as a grid for people")
+    }
+}
+
+impl Stage for Table {
+    type Kind = Self;
+
+    fn run(params: &TableParams, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
+        let samples = samples::read(ctx)?;
+        let groups = samples::pool(
+            &samples,
+            &params.keys,
+            "take the key out of `keys`, or wire the input to stages that have that axis",
+        )?;
+        let keys: Vec<&str> = params.keys.iter().map(String::as_str).collect();
+        let path = ctx.optional_input(reference::PORT);
+        let reference = path.map(|path| Reference::read(path, &keys)).transpose()?;
+        let cells = cells(&groups, reference.as_ref());
+        ctx.write_output("csv", csv_text(params, &cells).map_err(StageError::failed)?)?;
+        ctx.write_output("markdown", page(params, &samples, &groups, &cells, reference.is_some()))
+    }
+}
+
+fn check_keys(keys: &[String], problems: &mut Problems) {
+    if keys.is_empty() {
+        problems.add("keys", "`keys` is empty, expected at least one label");
+    }
+    for (n, key) in keys.iter().enumerate() {
+        let path = format!("keys.{n}");
+        if VALUES.contains(&key.as_str()) {
+            problems.add(&path, format!("`{key}` is a column of the table itself, expected a label"));
+        }
+        if keys[..n].contains(key) {
+            problems.add(&path, format!("`{key}` is in `keys` twice, expected it once"));
+        }
+    }
+}
+
+fn cells<'a>(groups: &[Group], reference: Option<&'a Reference>) -> Vec<Cell<'a>> {
+    let cell = |group: &Group| Cell {
+        key: group.key.clone(),
+        summary: group.summary,
+        published: reference.and_then(|reference| reference.get(&group.key)),
+    };
+    let mut cells: Vec<Cell<'a>> = groups.iter().map(cell).collect();
+    sort_by_appearance(&mut cells, |cell| &cell.key);
+    cells
+}
+
+fn csv_text(params: &TableParams, cells: &[Cell<'_>]) -> Result<Vec<u8>, Box<dyn std::error::Error>> {
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    writer.write_record(params.keys.iter().map(String::as_str).chain(VALUES))?;
+    for cell in cells {
+        let published = |number: fn(&Row) -> &Option<Published>| {
+            cell.published.and_then(|row| number(row).as_ref()).map_or("", |number| number.text.as_str())
+        };
+        let (mean, std) = (precise(cell.summary.mean), precise(cell.summary.std));
+        let episodes = cell.summary.episodes.to_string();
+        let values = [&mean, &std, &episodes, published(|row| &row.mean), published(|row| &row.std)];
+        writer.write_record(cell.key.iter().map(String::as_str).chain(values))?;
+    }
+    Ok(writer.into_inner()?)
+}
+
+fn page(
+    params: &TableParams,
+    samples: &[Sample<'_>],
+    groups: &[Group],
+    cells: &[Cell<'_>],
+    with_reference: bool,
+) -> String {
+    let pivot = Pivot::new(&params.keys, &params.columns, cells);
+    let mut remarks = vec![statistic(cells.iter().map(|cell| cell.summary.episodes))];
+    if groups.iter().any(|group| group.evaluations > 1) {
+        remarks.push(pooling(samples, &params.keys));
+    }
+    if with_reference {
+        remarks.push(coverage(cells));
+    }
+    params.caption().page(&pivot.lead(), &markdown::table(&pivot.columns), &remarks)
+}
+
+/// Over what the evaluations of a cell were pooled.
+fn pooling(samples: &[Sample<'_>], keys: &[String]) -> String {
+    let axes = samples::pooled_over(samples, keys);
+    let axes = axes.iter().map(|(axis, values)| escape(&format!("{axis} ({})", values.join(", "))));
+    format!("the episodes of a cell are pooled over {}", axes.collect::<Vec<_>>().join(" and "))
+}
+
+/// For how many of the cells the reference has a value.
+fn coverage(cells: &[Cell<'_>]) -> String {
+    let known = |cell: &&Cell<'_>| cell.published.is_some_and(|row| row.mean.is_some());
+    match (cells.iter().filter(known).count(), cells.len()) {
+        (0, _) => "thesis: no value for any of these cells".to_owned(),
+        (known, all) if known == all => "thesis: mean ± standard deviation as reported there".to_owned(),
+        (known, all) => {
+            format!("thesis: mean ± standard deviation as reported there, for {known} of the {all} cells")
+        }
+    }
+}
+
+fn list(names: &[String]) -> String {
+    names.iter().map(|name| format!("`{name}`")).collect::<Vec<_>>().join(", ")
+}
