@@ -1,13 +1,15 @@
-//! Tells the linker where this package's tests, benches and programs will find libtorch when they run.
+//! Tells the linker where this package's tests and benches will find libtorch when they run, and passes the folder on to
+//! the package with the programs.
 //!
-//! torch-sys says which folder it linked against; that reaches only packages that depend on torch-sys directly, which is
-//! why this one does. An rpath needs no `LD_LIBRARY_PATH`, so a stage runs alike from a shell, a test and a batch queue.
+//! torch-sys says which folder it linked against; cargo hands that to direct dependents only, which is why this package
+//! names torch-sys and has a `links` key of its own.
 #![allow(clippy::print_stdout, reason = "a build script talks to cargo through its standard output")]
 
 fn main() {
     println!("cargo::rerun-if-changed=build.rs");
-    println!("cargo::rerun-if-env-changed=DEP_TCH_LIBTORCH_LIB");
     if let Some(folder) = std::env::var_os("DEP_TCH_LIBTORCH_LIB") {
-        println!("cargo::rustc-link-arg=-Wl,-rpath,{}", folder.to_string_lossy());
+        let folder = folder.to_string_lossy();
+        println!("cargo::rustc-link-arg=-Wl,-rpath,{folder}");
+        println!("cargo::metadata=libtorch_lib={folder}");
     }
 }
