@@ -45,6 +45,8 @@ pub struct Launch<'a> {
     pub log: &'a Path,
     /// The folder that it may work in; removed afterwards.
     pub folder: &'a Path,
+    /// The executable, beside this one, that runs the kind; `None` where this one does.
+    pub worker: Option<&'static str>,
     /// Threads that it may keep busy.
     pub threads: usize,
     /// Raised when the stage shall stop: first asked to, then, after `grace`, killed.
@@ -66,6 +68,15 @@ pub enum Exit {
 
 /// Runs one job, here or elsewhere.
 pub trait Runner: Sync {
+    /// Says whether it can run the kinds of that worker ([`dril_stage_api::Kind::worker`]); asked before anything runs.
+    ///
+    /// # Errors
+    /// What is missing, and how to mend it.
+    fn check(&self, worker: Option<&'static str>) -> Result<(), String> {
+        let _ = worker;
+        Ok(())
+    }
+
     /// Runs the job to its end; `hear` is told what it says.
     ///
     /// # Errors
@@ -73,17 +84,17 @@ pub trait Runner: Sync {
     fn run(&self, launch: &Launch<'_>, hear: &mut dyn FnMut(Message)) -> io::Result<Exit>;
 }
 
-/// Runs a job in a child process of its own group: this program again, as `dril-pipe __stage JOB`.
+/// Runs a job in a child process of its own group: `dril-pipe __stage JOB`, or a worker beside it in the same way.
 #[derive(Clone, Debug)]
 pub struct ChildRunner {
-    /// The program; usually this one.
+    /// The program for the kinds that have no worker; workers are looked for in its folder.
     pub program: std::path::PathBuf,
     /// Arguments before the job file.
     pub args: Vec<std::ffi::OsString>,
 }
 
 impl ChildRunner {
-    /// This program, as `__stage JOB`.
+    /// This program and the workers beside it, as `__stage JOB`.
     ///
     /// # Errors
     /// The system does not say which file this program is.
@@ -124,6 +135,9 @@ pub enum ExecError {
     /// The store cannot be read or written.
     #[error(transparent)]
     Store(#[from] StoreError),
+    /// Stages that would run need an executable that is not there.
+    #[error("{0}")]
+    Worker(String),
 }
 
 /// Runs what the plan says, and all that turns out to be stale behind it. Stops cleanly soon after `stop` becomes true.

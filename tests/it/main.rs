@@ -9,4 +9,5 @@ mod parse;
 mod plan;
 mod prop;
 mod resolve;
+mod scenario;
 mod tidy;
