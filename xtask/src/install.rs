@@ -2,7 +2,7 @@
 //! rename makes them visible. Until then everything is in `.libtorch.partial-<pid>`, so a crash at any moment leaves
 //! nothing that looks finished; the next run removes what it left.
 
-use std::fs::{self, File};
+use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -21,10 +21,7 @@ const LINKER_SCRIPT: &str = "INPUT(-ltorch_cpu -lc10)";
 /// # Errors
 /// When the host lacks something, pip fails, or the disk does.
 pub fn ensure(root: &Path, target: &Path) -> Result<(), Error> {
-    // Two installations at once would take each other's folders for remains. Where the file system knows no locks,
-    // going on without one is better than giving up.
-    let lock = File::open(root).map_err(Error::io("open", root))?;
-    let _ = lock.lock();
+    let _lock = lock(root)?;
     remove_remains(root)?;
     if is_complete(target) {
         return Ok(());
@@ -34,6 +31,17 @@ pub fn ensure(root: &Path, target: &Path) -> Result<(), Error> {
     fetch(&partial.0)?;
     assemble(&partial.0)?;
     publish(&partial.0, target)
+}
+
+/// Waits until no other installation works in `root`: two at once would take each other's folders for remains.
+/// Where the file system knows no locks, going on without one is better than giving up.
+fn lock(root: &Path) -> Result<File, Error> {
+    let folder = File::open(root).map_err(Error::io("open", root))?;
+    if let Err(TryLockError::WouldBlock) = folder.try_lock() {
+        println!("libtorch {}: waiting for another installation to end", wheels::VERSION);
+        let _ = folder.lock();
+    }
+    Ok(folder)
 }
 
 /// Whether `folder` holds the right version and every file that an installation writes (headers: one of them).
