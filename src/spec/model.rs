@@ -1,0 +1,93 @@
+//! What a pipeline file says, part by part, each with its place. Nothing is filled in, merged or looked up yet.
+
+use std::sync::Arc;
+
+use super::SourceName;
+use super::node::{Key, Node};
+use super::problem::Problems;
+use super::source::Source;
+
+/// A pipeline file that was read.
+///
+/// It may still hold mistakes: those that reading found, such as a misspelt key, wait for [`crate::resolve::resolve`],
+/// which reports them together with its own.
+#[derive(Clone, Debug)]
+pub struct Spec {
+    pub(crate) name: SourceName,
+    pub(crate) source: Arc<Source>,
+    pub(crate) problems: Problems,
+    /// The pipeline's name; empty where it is missing.
+    pub(crate) pipeline: String,
+    /// Seed, params, axes and defaults of the file itself; the stages' own `with` stand in `stages`.
+    pub(crate) base: Layer,
+    pub(crate) stages: Vec<Stage>,
+    pub(crate) profiles: Vec<Profile>,
+}
+
+impl Spec {
+    /// The file that it was read from, as messages show it.
+    pub fn source_name(&self) -> &SourceName {
+        &self.name
+    }
+
+    /// The pipeline's name.
+    pub fn pipeline(&self) -> &str {
+        &self.pipeline
+    }
+
+    /// The profiles, in the order of the file; the first is the one that holds without a choice.
+    pub fn profiles(&self) -> impl Iterator<Item = &str> {
+        self.profiles.iter().map(|profile| &*profile.name.text)
+    }
+
+    /// The names of the stages, in the order of the file.
+    pub fn stages(&self) -> impl Iterator<Item = &str> {
+        self.stages.iter().map(|stage| &*stage.name.text)
+    }
+}
+
+/// A stage as written.
+#[derive(Clone, Debug)]
+pub(crate) struct Stage {
+    pub name: Key,
+    /// `None` where it is missing or no text, which is reported.
+    pub kind: Option<Key>,
+    pub matrix: Vec<MatrixAxis>,
+    pub seed: Option<Node>,
+    pub with: Option<Node>,
+    pub inputs: Vec<(Key, Node)>,
+}
+
+/// An axis of a stage's matrix.
+#[derive(Clone, Debug)]
+pub(crate) struct MatrixAxis {
+    pub name: Key,
+    /// Values given here; `None` takes those under `axes`.
+    pub values: Option<Node>,
+}
+
+/// What all stages of a kind share.
+#[derive(Clone, Debug)]
+pub(crate) struct Defaults {
+    pub kind: Key,
+    pub with: Option<Node>,
+    pub inputs: Vec<(Key, Node)>,
+}
+
+/// Values that may be given more than once: by the file, then by a profile, then by each `--set`. Later ones win.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Layer {
+    pub seed: Option<Node>,
+    pub params: Vec<(Key, Node)>,
+    pub axes: Vec<(Key, Node)>,
+    pub defaults: Vec<Defaults>,
+    /// Stage -> what goes over its `with`.
+    pub stages: Vec<(Key, Node)>,
+}
+
+/// A profile as written.
+#[derive(Clone, Debug)]
+pub(crate) struct Profile {
+    pub name: Key,
+    pub layer: Layer,
+}

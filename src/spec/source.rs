@@ -1,0 +1,167 @@
+//! The texts that messages point into: the pipeline file, and arguments of the command line.
+
+use std::sync::Arc;
+
+/// A stretch of one of the [`Sources`], in bytes. Empty where only a position is known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub(crate) struct Span {
+    /// Which source; 0 is the pipeline file.
+    pub source: u16,
+    /// The first byte.
+    pub start: u32,
+    /// The byte after the last.
+    pub end: u32,
+}
+
+impl Span {
+    /// A stretch of the source of that number.
+    pub fn new(source: u16, range: std::ops::Range<usize>) -> Self {
+        let clamp = |at: usize| u32::try_from(at).unwrap_or(u32::MAX);
+        Self { source, start: clamp(range.start), end: clamp(range.end) }
+    }
+
+    /// True where nothing stands there, as the value of `kind:` with nothing after it.
+    pub fn is_empty(self) -> bool {
+        self.start >= self.end
+    }
+
+    /// `range` counted from the start of this stretch.
+    pub fn part(self, range: std::ops::Range<usize>) -> Self {
+        let start = self.start as usize;
+        Self::new(self.source, start + range.start..start + range.end)
+    }
+}
+
+/// A text with its name.
+#[derive(Clone, Debug)]
+pub(crate) struct Source {
+    /// As shown in messages: `pipelines/thesis.yaml`, or ``argument `--set` ``.
+    pub name: String,
+    /// All of it.
+    pub text: Arc<str>,
+    /// An argument has neither lines nor columns.
+    pub is_argument: bool,
+    /// Where lines begin, so that the line of a byte is found without reading the text again.
+    lines: Vec<u32>,
+}
+
+/// One line of a source around a [`Span`].
+pub(crate) struct Line<'a> {
+    /// From 1.
+    pub number: usize,
+    /// In characters, from 1.
+    pub column: usize,
+    /// The line, without its end.
+    pub text: &'a str,
+    /// The part of `text` that the span covers, in bytes.
+    pub range: std::ops::Range<usize>,
+}
+
+impl Source {
+    /// A file.
+    pub fn file(name: &str, text: &str) -> Self {
+        Self::new(name.to_owned(), text, false)
+    }
+
+    /// An argument after `option`, as in `--set`.
+    pub fn argument(option: &str, text: &str) -> Self {
+        Self::new(format!("argument `{option}`"), text, true)
+    }
+
+    fn new(name: String, text: &str, is_argument: bool) -> Self {
+        let ends = text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n').map(|(at, _)| at + 1);
+        let lines = std::iter::once(0).chain(ends).map(|at| u32::try_from(at).unwrap_or(u32::MAX)).collect();
+        Self { name, text: text.into(), is_argument, lines }
+    }
+
+    /// The line where `span` begins.
+    pub fn line(&self, span: Span) -> Line<'_> {
+        let start = floor(&self.text, span.start as usize);
+        let number = self.lines.partition_point(|begin| *begin as usize <= start).max(1);
+        let begin = self.lines[number - 1] as usize;
+        let rest = &self.text[begin..];
+        let text = rest.split('\n').next().unwrap_or(rest).trim_end_matches('\r');
+        let from = floor(text, start - begin);
+        let to = floor(text, (span.end as usize).saturating_sub(begin)).max(from);
+        Line { number, column: text[..from].chars().count() + 1, text, range: from..to }
+    }
+
+    /// `thesis.yaml:14:9`, or the argument's name.
+    pub fn place(&self, span: Span) -> String {
+        if self.is_argument {
+            return self.name.clone();
+        }
+        let line = self.line(span);
+        format!("{}:{}:{}", self.name, line.number, line.column)
+    }
+
+    /// What stands at `span`.
+    pub fn slice(&self, span: Span) -> &str {
+        let (start, end) = (floor(&self.text, span.start as usize), floor(&self.text, span.end as usize));
+        self.text.get(start..end).unwrap_or_default()
+    }
+}
+
+/// The start of the character at `at`, or the end of the text.
+fn floor(text: &str, at: usize) -> usize {
+    let mut at = at.min(text.len());
+    while !text.is_char_boundary(at) {
+        at -= 1;
+    }
+    at
+}
+
+/// The sources of one resolution.
+#[derive(Clone, Debug)]
+pub(crate) struct Sources(Vec<Arc<Source>>);
+
+impl Sources {
+    /// With the pipeline file as source 0.
+    pub fn new(file: Arc<Source>) -> Self {
+        Self(vec![file])
+    }
+
+    /// Adds an argument and gives its number.
+    pub fn add(&mut self, source: Source) -> u16 {
+        self.0.push(Arc::new(source));
+        u16::try_from(self.0.len() - 1).unwrap_or(u16::MAX)
+    }
+
+    /// The source that `span` points into; the file where there is no such source.
+    pub fn get(&self, span: Span) -> &Source {
+        self.0.get(usize::from(span.source)).unwrap_or(&self.0[0])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_span_knows_its_line_and_its_column_in_characters() {
+        let source = Source::file("a.yaml", "first\r\ngrün: x\n");
+        let at = source.text.find('x').unwrap();
+        let line = source.line(Span::new(0, at..at + 1));
+        assert_eq!((line.number, line.column, line.text), (2, 7, "grün: x"));
+        assert_eq!(&line.text[line.range], "x");
+        assert_eq!(source.place(Span::new(0, at..at + 1)), "a.yaml:2:7");
+    }
+
+    #[test]
+    fn a_span_past_the_end_or_inside_a_character_points_at_something() {
+        let source = Source::file("a.yaml", "ü");
+        for range in [0..9, 1..1, 7..9, 1..2] {
+            let line = source.line(Span::new(0, range));
+            assert_eq!(line.number, 1);
+            assert!(line.text.get(line.range).is_some());
+        }
+        assert_eq!(Source::file("a.yaml", "").line(Span::new(0, 0..0)).column, 1);
+    }
+
+    #[test]
+    fn a_span_of_several_lines_covers_the_rest_of_the_first() {
+        let source = Source::file("a.yaml", "a: [1,\n 2]\n");
+        let line = source.line(Span::new(0, 3..10));
+        assert_eq!(&line.text[line.range], "[1,");
+    }
+}

@@ -1,0 +1,66 @@
+//! "Did you mean": the nearest known name to a misspelt one.
+
+/// Longer names than this are not compared: the time grows with the square.
+const LONGEST: usize = 64;
+/// So many known names are listed in a hint.
+const LISTED: usize = 12;
+
+/// The known name that `seen` was probably meant to be.
+pub(crate) fn nearest<'a>(seen: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    if seen.len() > LONGEST {
+        return None;
+    }
+    let plain = |name: &str| name.to_lowercase().replace('_', "-");
+    let wanted = plain(seen);
+    let close = known.into_iter().filter_map(|name| {
+        let allowed = 1 + name.len() / 4;
+        let far = name.len().abs_diff(seen.len()) > allowed || name.len() > LONGEST;
+        let distance = if far { usize::MAX } else { strsim::damerau_levenshtein(&wanted, &plain(name)) };
+        // One letter is near to every other; that is no likeness.
+        (distance <= allowed && distance < seen.chars().count()).then_some((distance, name))
+    });
+    close.min().map(|(_, name)| name)
+}
+
+/// "did you mean `a`? known are `a`, `b`", or as much of it as can be said. `what` names the known ones: "its inputs".
+pub(crate) fn hint<'a>(seen: &str, what: &str, known: impl IntoIterator<Item = &'a str>) -> String {
+    let known: Vec<&str> = known.into_iter().collect();
+    match (nearest(seen, known.iter().copied()), known.len()) {
+        (_, 0) => format!("there are no {}", what.trim_start_matches("the ").trim_start_matches("its ")),
+        (Some(name), _) => format!("did you mean `{name}`? {what} are {}", list(&known)),
+        (None, _) => format!("{what} are {}", list(&known)),
+    }
+}
+
+/// "`a`, `b` and 7 more".
+pub(crate) fn list(names: &[&str]) -> String {
+    let mut text = names.iter().take(LISTED).map(|name| format!("`{name}`")).collect::<Vec<_>>().join(", ");
+    if names.len() > LISTED {
+        text.push_str(&format!(" and {} more", names.len() - LISTED));
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_nearest_name_is_found_and_a_far_one_is_not() {
+        let known = ["demonstrations", "policy", "total_steps"];
+        assert_eq!(nearest("demonstration", known), Some("demonstrations"));
+        assert_eq!(nearest("Policy", known), Some("policy"));
+        assert_eq!(nearest("total-steps", known), Some("total_steps"));
+        assert_eq!(nearest("ploicy", known), Some("policy"));
+        assert_eq!(nearest("reward", known), None);
+        assert_eq!(nearest("b", ["a"]), None);
+        assert_eq!(nearest(&"x".repeat(10_000), known), None);
+    }
+
+    #[test]
+    fn long_lists_of_names_are_cut() {
+        let names: Vec<String> = (0..20).map(|n| format!("n{n}")).collect();
+        let names: Vec<&str> = names.iter().map(String::as_str).collect();
+        assert!(list(&names).ends_with("`n11` and 8 more"));
+    }
+}

@@ -1,0 +1,91 @@
+//! The YAML crate's syntax errors in words for people who do not know the YAML grammar, with what usually causes them.
+
+use serde_saphyr::granit_parser::ErrorKind;
+
+use super::problem::Problem;
+use super::source::Span;
+
+const QUOTE: &str = "a text with `[`, `]`, `{`, `}`, `,`, `#` or `: ` in it is written in quotes, as in `scores: \"evaluate[mode=stochastic]\"`";
+const INDENT: &str = "keys of one map stand in the same column; what belongs to a key stands further right";
+const SPACES: &str = "YAML is indented with spaces; set the editor to insert spaces for tabs";
+
+/// Says what is wrong at `at`.
+pub(super) fn explain(kind: &ErrorKind, at: Span) -> Problem {
+    let (message, hints) = words(kind);
+    let problem = Problem::new(at, message.unwrap_or_else(|| format!("this is not valid YAML: {kind}")));
+    hints.iter().fold(problem, |problem, hint| problem.hint(*hint))
+}
+
+fn words(kind: &ErrorKind) -> (Option<String>, &'static [&'static str]) {
+    use ErrorKind as E;
+    let (message, hints): (&str, &'static [&'static str]) = match kind {
+        E::TabNotAllowed
+        | E::TabInBlockIndentation
+        | E::TabInIndentation
+        | E::TabAtBlockScalarStart
+        | E::TabInPlainScalar => ("found a tab, expected spaces", &[SPACES]),
+        E::InvalidIndentation
+        | E::ExpectedBlockMappingKey
+        | E::ExpectedBlockSequenceEntry
+        | E::MappingValueNotAllowed
+        | E::MappingKeyNotAllowed
+        | E::BlockSequenceEntryNotAllowed
+        | E::InvalidSimpleKey
+        | E::SimpleKeyExpected
+        | E::UnexpectedEofBlockMapping
+        | E::InvalidFlowScalarIndent => {
+            return (Some(format!("this is not valid YAML here: {}", detail(kind))), &[INDENT, QUOTE]);
+        }
+        E::ExpectedFlowMappingSeparator | E::UnexpectedEofFlowMapping => {
+            ("expected `,` or `}` here: a map in braces goes on", &[QUOTE])
+        }
+        E::ExpectedFlowSequenceSeparator | E::UnexpectedEofFlowSequence => {
+            ("expected `,` or `]` here: a list in brackets goes on", &[QUOTE])
+        }
+        E::UnclosedFlowCollection { open } => {
+            return (Some(format!("a `{open}` is never closed")), &["add the closing bracket", QUOTE]);
+        }
+        E::MisplacedFlowCollectionEnd => ("found a closing bracket that nothing opened", &[QUOTE]),
+        E::MismatchedFlowCollectionEnd { open, close } => {
+            return (Some(format!("found `{close}`, expected the bracket that closes `{open}`")), &[QUOTE]);
+        }
+        E::UnclosedQuotedScalar => ("a quote is never closed", &["add the closing quote"]),
+        E::UnknownAnchor => (
+            "found a YAML alias `*name` without an anchor `&name` before it",
+            &[
+                "a text that begins with `*` is written in quotes",
+                "shared values stand under `params`, used as `$name`",
+            ],
+        ),
+        E::UnexpectedCharacter { .. } => (
+            "found a character that no YAML value may begin with",
+            &["a text that begins with `@` or a back-quote is written in quotes"],
+        ),
+        E::UnknownQuotedScalarEscape => (
+            "found an unknown escape after `\\` in a text in double quotes",
+            &["write `\\\\` for a backslash, or use single quotes"],
+        ),
+        E::RecursionLimitExceeded => {
+            return (
+                Some(format!("lists and maps are more than {} deep here", super::node::MAX_DEPTH)),
+                &["no pipeline needs that; is a bracket missing?"],
+            );
+        }
+        _ => return (None, &[]),
+    };
+    (Some(message.to_owned()), hints)
+}
+
+fn detail(kind: &ErrorKind) -> &'static str {
+    use ErrorKind as E;
+    match kind {
+        E::InvalidIndentation | E::InvalidFlowScalarIndent => "the indentation fits no line above",
+        E::ExpectedBlockMappingKey => "expected the next key of a map",
+        E::ExpectedBlockSequenceEntry => "expected the next `- ` of a list",
+        E::MappingValueNotAllowed => "a second `:` in one line",
+        E::BlockSequenceEntryNotAllowed => "a `- ` of a list does not fit here",
+        E::SimpleKeyExpected | E::InvalidSimpleKey => "expected `:` after a key",
+        E::UnexpectedEofBlockMapping => "the file ends in the middle of a map",
+        _ => "a key does not fit here",
+    }
+}
