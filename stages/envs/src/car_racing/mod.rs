@@ -1,0 +1,201 @@
+//! CarRacing: a car on a random track, seen from above.
+//!
+//! Written from the facts of gym's CarRacing-v0 (Klimov, 2016) and Gymnasium's CarRacing-v3, with rapier2d in place of
+//! Box2D. [`track`] makes the track, [`car`], [`tyre`] and [`world`] move the car, [`tiles`] sees what it touches,
+//! [`simulation`] keeps the score, and [`render_v0`] draws a [`scene`].
+
+pub mod camera;
+pub mod car;
+pub mod convex;
+mod grass;
+mod indicators;
+pub mod palette;
+pub mod raster;
+pub mod render_v0;
+pub mod scene;
+pub mod settle;
+pub mod shape;
+pub mod simulation;
+mod text;
+pub mod tiles;
+pub mod track;
+pub mod tyre;
+pub mod world;
+
+use dril_stage_api::Seed;
+use rand::Rng;
+
+use crate::preprocess::{self, FULL, SIDE};
+use crate::{
+    ActionSpace, CarRacingConfig, Env, EnvError, EnvSnapshot, Frame, ObservationSpace, Picture, Step,
+};
+use car::Controls;
+use palette::Inks;
+use render_v0::Renderer;
+use simulation::{Rules, Simulation};
+use track::{DRAWS, Track};
+
+/// Values of an action: steering, and throttle or brake.
+const DIMS: usize = 2;
+/// Attempts after which the track draws cannot be uniform: one in ten fails.
+const MOST_ATTEMPTS: usize = 1000;
+/// Largest side of a picture for people.
+const MOST_PIXELS: usize = 8192;
+
+/// CarRacing as the thesis's policies see it: 84 x 84 grey, two actions.
+///
+/// Action 0 steers, -1 (left) to 1 (right); action 1 is the throttle above 0 and the brake below.
+pub struct CarRacing {
+    config: CarRacingConfig,
+    renderer: Renderer,
+    frame: Box<[u8; SIDE * SIDE]>,
+    episode: Option<Episode>,
+}
+
+struct Episode {
+    seed: u64,
+    simulation: Simulation,
+    actions: Vec<f32>,
+}
+
+impl CarRacing {
+    /// What it shows and takes.
+    pub const SPACES: (ObservationSpace, ActionSpace) = (
+        ObservationSpace::Image { height: SIDE, width: SIDE, stack: 4 },
+        ActionSpace::Continuous { dims: DIMS },
+    );
+
+    /// An environment before its first episode.
+    pub fn new(config: CarRacingConfig) -> Self {
+        let renderer = Renderer::new(FULL, FULL, Inks::grey());
+        Self { config, renderer, frame: Box::new([0; SIDE * SIDE]), episode: None }
+    }
+
+    /// The track that a seed names.
+    ///
+    /// # Errors
+    /// Never in practice: one attempt in ten fails.
+    pub fn track(seed: u64) -> Result<(Track, usize), EnvError> {
+        let mut stream = Seed(seed).stream("track");
+        let uniform = std::iter::from_fn(|| Some(unit_interval(stream.next_u64())));
+        Track::generate(track::scale_draws(uniform.take(DRAWS * MOST_ATTEMPTS)))
+            .ok_or(EnvError::NoTrack { attempts: MOST_ATTEMPTS })
+    }
+
+    /// The running episode.
+    pub fn simulation(&self) -> Option<&Simulation> {
+        self.episode.as_ref().map(|episode| &episode.simulation)
+    }
+
+    fn start(&mut self, seed: u64) -> Result<(), EnvError> {
+        let (track, _) = Self::track(seed)?;
+        let limit = self.config.time_limit as usize;
+        let rules = Rules { lap_share: self.config.lap_share(), time_limit: limit };
+        let mut actions = self.episode.take().map_or_else(Vec::new, |episode| episode.actions);
+        actions.clear();
+        actions.reserve(limit.min(1 << 20) * DIMS);
+        self.episode = Some(Episode { seed, simulation: Simulation::new(track, rules), actions });
+        Ok(())
+    }
+
+    fn draw(&mut self) {
+        if let Some(episode) = &self.episode {
+            self.renderer.draw(episode.simulation.track(), &episode.simulation.scene());
+            if let Ok(full) = self.renderer.pixels().try_into() {
+                preprocess::shrink(full, &mut self.frame);
+            }
+        }
+    }
+}
+
+impl Episode {
+    fn step(&mut self, action: [f32; DIMS]) -> Step {
+        self.actions.extend(action);
+        let [steer, pedal] = action.map(f64::from);
+        self.simulation.step(&Controls { steer, gas: pedal.max(0.0), brake: (-pedal).max(0.0) })
+    }
+}
+
+/// The top 53 bits as a number in [0, 1).
+fn unit_interval(bits: u64) -> f64 {
+    (bits >> 11) as f64 / (1u64 << 53) as f64
+}
+
+fn checked(action: &[f32]) -> Result<[f32; DIMS], EnvError> {
+    let action: [f32; DIMS] =
+        action.try_into().map_err(|_| EnvError::ActionLength { seen: action.len(), expected: DIMS })?;
+    match action.iter().position(|value| value.is_nan()) {
+        Some(dimension) => Err(EnvError::ActionNan { dimension }),
+        None => Ok(action.map(|value| value.clamp(-1.0, 1.0))),
+    }
+}
+
+impl Env for CarRacing {
+    fn observation_space(&self) -> ObservationSpace {
+        Self::SPACES.0
+    }
+
+    fn action_space(&self) -> ActionSpace {
+        Self::SPACES.1
+    }
+
+    fn reset(&mut self, seed: u64) -> Result<(), EnvError> {
+        self.start(seed)?;
+        self.draw();
+        Ok(())
+    }
+
+    fn step(&mut self, action: &[f32]) -> Result<Step, EnvError> {
+        let episode = self.episode.as_mut().ok_or(EnvError::NotStarted)?;
+        if episode.simulation.outcome().ended() {
+            return Err(EnvError::Over { length: episode.simulation.steps() });
+        }
+        let step = episode.step(checked(action)?);
+        self.draw();
+        Ok(step)
+    }
+
+    fn frame(&self) -> Frame<'_> {
+        Frame::Image(self.frame.as_slice())
+    }
+
+    fn snapshot(&self) -> EnvSnapshot {
+        self.episode.as_ref().map_or_else(EnvSnapshot::default, |episode| EnvSnapshot {
+            seed: Some(episode.seed),
+            actions: episode.actions.clone(),
+        })
+    }
+
+    fn restore(&mut self, snapshot: &EnvSnapshot) -> Result<(), EnvError> {
+        let Some(seed) = snapshot.seed else {
+            self.episode = None;
+            self.frame.fill(0);
+            return Ok(());
+        };
+        self.start(seed)?;
+        let Some(episode) = self.episode.as_mut() else { return Ok(()) };
+        for (at, action) in snapshot.actions.chunks(DIMS).enumerate() {
+            if episode.simulation.outcome().ended() {
+                let length = snapshot.actions.len() / DIMS;
+                return Err(EnvError::Snapshot(format!("{length} actions, but the episode ends after {at}")));
+            }
+            let action =
+                checked(action).map_err(|error| EnvError::Snapshot(format!("step {at}: {error}")))?;
+            episode.step(action);
+        }
+        self.draw();
+        Ok(())
+    }
+
+    fn render(&mut self, width: usize, height: usize) -> Result<Picture, EnvError> {
+        let episode = self.episode.as_ref().ok_or(EnvError::NotStarted)?;
+        if !(1..=MOST_PIXELS).contains(&width) || !(1..=MOST_PIXELS).contains(&height) {
+            let message = format!("{width} x {height} pixels, expected 1 to {MOST_PIXELS} a side");
+            return Err(EnvError::Picture(message));
+        }
+        let mut renderer = Renderer::new(width, height, Inks::indices());
+        renderer.draw(episode.simulation.track(), &episode.simulation.scene());
+        let rgb = renderer.pixels().iter().flat_map(|colour| palette::RGB[*colour as usize]).collect();
+        Ok(Picture { width, height, rgb })
+    }
+}

@@ -1,0 +1,101 @@
+//! The colours of the picture, as one byte each, and what they become: grey levels or RGB.
+
+/// Index of a colour in the palette.
+pub type Colour = u8;
+
+/// Outside the playfield, the bar, the wheels.
+pub const BLACK: Colour = 0;
+/// The playfield.
+pub const GRASS: Colour = 1;
+/// Its lighter squares.
+pub const PATCH: Colour = 2;
+/// The road's three shades, by tile number; a touched tile has the first.
+pub const ROAD: [Colour; 3] = [3, 4, 5];
+/// Every other kerb.
+pub const KERB_RED: Colour = 6;
+/// The other kerbs, and the speed gauge.
+pub const WHITE: Colour = 7;
+/// The mark that shows a wheel turning.
+pub const WHEEL_MARK: Colour = 8;
+/// The car.
+pub const HULL: Colour = 9;
+/// Gauges of the front wheels.
+pub const BLUE: Colour = 10;
+/// Gauges of the rear wheels.
+pub const PURPLE: Colour = 11;
+/// Gauge of the steering.
+pub const GREEN: Colour = 12;
+/// Gauge of the yaw rate.
+pub const RED: Colour = 13;
+/// The first shade of text, from black to white.
+pub const FIRST_SHADE: Colour = 16;
+/// Shades of text.
+pub const SHADES: u8 = 16;
+/// Colours there are, with room between.
+pub const COUNT: usize = (FIRST_SHADE + SHADES) as usize;
+
+/// RGB of every colour in the original's picture (its OpenGL colours in 8 bits).
+pub const RGB: [[u8; 3]; COUNT] = {
+    let mut rgb = [[0; 3]; COUNT];
+    let mut colour = 0;
+    while colour < NAMED.len() {
+        rgb[colour] = NAMED[colour];
+        colour += 1;
+    }
+    let mut shade = 0;
+    while shade < SHADES {
+        rgb[(FIRST_SHADE + shade) as usize] = [shade * (255 / (SHADES - 1)); 3];
+        shade += 1;
+    }
+    rgb
+};
+
+const NAMED: [[u8; 3]; 14] = [
+    [0, 0, 0],
+    [102, 204, 102],
+    [102, 230, 102],
+    [102, 102, 102],
+    [105, 105, 105],
+    [107, 107, 107],
+    [255, 0, 0],
+    [255, 255, 255],
+    [76, 76, 76],
+    [204, 0, 0],
+    [0, 0, 255],
+    [51, 0, 255],
+    [0, 255, 0],
+    [255, 0, 0],
+];
+
+/// What is written into a picture for each colour.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Inks(pub [u8; COUNT]);
+
+impl Inks {
+    /// The colours themselves, for a picture to be looked up later.
+    pub fn indices() -> Self {
+        Self(std::array::from_fn(|colour| colour as u8))
+    }
+
+    /// Their grey levels.
+    pub fn grey() -> Self {
+        Self(RGB.map(grey))
+    }
+
+    /// What to write for a colour.
+    pub fn of(&self, colour: Colour) -> u8 {
+        self.0[colour as usize]
+    }
+
+    /// What to write for a shade of text, 0 (black) to [`SHADES`] - 1 (white).
+    pub fn shade(&self, shade: u8) -> u8 {
+        self.of(FIRST_SHADE + shade)
+    }
+}
+
+/// Luma of an RGB colour, 0.299 R + 0.587 G + 0.114 B rounded: the fixed-point form of OpenCV's conversion.
+pub fn grey([red, green, blue]: [u8; 3]) -> u8 {
+    const SHIFT: u32 = 15;
+    let sum = 9798 * u32::from(red) + 19235 * u32::from(green) + 3735 * u32::from(blue);
+    ((sum + (1 << (SHIFT - 1))) >> SHIFT) as u8
+}

@@ -1,0 +1,217 @@
+//! The score in the corner of the bar: four digits, as strokes of a sans-serif face, sampled once per pixel like the
+//! rest of the picture.
+
+use super::camera::WINDOW;
+use super::palette::{self, Inks};
+use super::raster::Canvas;
+
+/// Left edge and baseline of the text in the window, window pixels, y up.
+const ORIGIN: [f64; 2] = [20.0, 28.0];
+/// From one character to the next.
+const ADVANCE: f64 = 30.5;
+/// Height of a digit.
+const HEIGHT: f64 = 36.0;
+/// Half the width of a stroke.
+const HALF_STROKE: f64 = 2.6;
+/// Characters shown.
+const SLOTS: usize = 4;
+/// The glyphs of the digits, then the minus sign.
+const GLYPHS: usize = 11;
+const MINUS: usize = 10;
+
+/// A stroke: points joined by lines, in a box of 0..10 across and 0..14 up.
+type Stroke = &'static [[f64; 2]];
+
+const ROUND: Stroke = &[
+    [5.0, 13.3],
+    [3.2, 12.6],
+    [2.1, 10.6],
+    [1.8, 7.0],
+    [2.1, 3.4],
+    [3.2, 1.4],
+    [5.0, 0.7],
+    [6.8, 1.4],
+    [7.9, 3.4],
+    [8.2, 7.0],
+    [7.9, 10.6],
+    [6.8, 12.6],
+    [5.0, 13.3],
+];
+const LOWER_BOWL: Stroke = &[
+    [5.0, 7.6],
+    [3.2, 7.2],
+    [2.0, 5.9],
+    [1.7, 4.1],
+    [2.2, 2.2],
+    [3.4, 1.0],
+    [5.0, 0.7],
+    [6.6, 1.0],
+    [7.8, 2.2],
+    [8.3, 4.1],
+    [8.0, 5.9],
+    [6.8, 7.2],
+    [5.0, 7.6],
+];
+const UPPER_BOWL: Stroke = &[
+    [5.0, 13.3],
+    [3.4, 12.9],
+    [2.3, 11.9],
+    [2.1, 10.3],
+    [2.6, 8.8],
+    [3.6, 7.9],
+    [5.0, 7.6],
+    [6.4, 7.9],
+    [7.4, 8.8],
+    [7.9, 10.3],
+    [7.7, 11.9],
+    [6.6, 12.9],
+    [5.0, 13.3],
+];
+
+const STROKES: [&[Stroke]; GLYPHS] = [
+    &[ROUND],
+    &[&[[2.4, 12.4], [5.3, 13.3], [5.3, 0.7]], &[[2.4, 0.7], [8.2, 0.7]]],
+    &[&[[2.0, 12.6], [4.2, 13.3], [6.2, 12.9], [7.5, 11.6], [7.6, 9.8], [6.6, 7.8], [2.0, 0.7], [8.2, 0.7]]],
+    &[
+        &[[2.2, 12.9], [4.6, 13.3], [6.6, 12.6], [7.5, 11.0], [7.2, 9.0], [6.0, 7.6], [4.2, 7.3]],
+        &[[4.2, 7.3], [6.4, 6.9], [7.9, 5.3], [8.0, 3.4], [7.0, 1.6], [5.0, 0.7], [3.2, 0.8], [1.8, 1.4]],
+    ],
+    &[&[[6.6, 0.0], [6.6, 13.2], [1.6, 4.2], [8.8, 4.2]]],
+    &[&[
+        [7.6, 13.3],
+        [2.7, 13.3],
+        [2.7, 8.2],
+        [4.6, 8.4],
+        [6.6, 7.8],
+        [7.9, 6.1],
+        [8.1, 4.2],
+        [7.4, 2.2],
+        [5.8, 0.9],
+        [3.8, 0.7],
+        [1.9, 1.3],
+    ]],
+    &[LOWER_BOWL, &[[7.6, 12.9], [5.8, 13.3], [3.8, 12.5], [2.3, 10.2], [1.7, 7.0], [1.7, 4.1]]],
+    &[&[[1.8, 13.3], [8.0, 13.3], [3.6, 0.0]]],
+    &[LOWER_BOWL, UPPER_BOWL],
+    &[UPPER_BOWL, &[[8.3, 9.9], [8.3, 7.0], [7.7, 3.8], [6.2, 1.5], [4.2, 0.7], [2.4, 1.1]]],
+    &[&[[2.2, 5.4], [7.8, 5.4]]],
+];
+
+/// The characters as they fall on the pixels of one picture size.
+#[derive(Clone, Debug)]
+pub struct Text {
+    rows: std::ops::Range<usize>,
+    slots: [Slot; SLOTS],
+}
+
+#[derive(Clone, Debug, Default)]
+struct Slot {
+    columns: std::ops::Range<usize>,
+    /// Per glyph, row by row: 0 to [`palette::SHADES`] - 1.
+    shades: [Vec<u8>; GLYPHS],
+}
+
+impl Text {
+    /// The characters for pictures of this size.
+    pub fn new(width: usize, height: usize) -> Self {
+        let scale = [width as f64 / WINDOW[0], height as f64 / WINDOW[1]];
+        let margin = HALF_STROKE + 1.0;
+        let row = |y: f64| ((WINDOW[1] - y) * scale[1]) as usize;
+        let rows = row(ORIGIN[1] + HEIGHT + margin)..(row(ORIGIN[1] - margin) + 1).min(height);
+        let slot = |n: usize| {
+            let left = ORIGIN[0] + n as f64 * ADVANCE;
+            let columns = (left * scale[0]) as usize..(((left + ADVANCE) * scale[0]) as usize + 1).min(width);
+            let shades = std::array::from_fn(|glyph| {
+                let at = |row: usize, column: usize| {
+                    let x = (column as f64 + 0.5) / scale[0] - left;
+                    let y = WINDOW[1] - (row as f64 + 0.5) / scale[1] - ORIGIN[1];
+                    shade(STROKES[glyph], [x, y])
+                };
+                rows.clone()
+                    .flat_map(|row| columns.clone().map(move |column| (row, column)))
+                    .map(|(r, c)| at(r, c))
+                    .collect()
+            });
+            Slot { columns, shades }
+        };
+        Self { slots: std::array::from_fn(slot), rows }
+    }
+
+    /// Draws the score's whole part over what is there.
+    pub fn draw(&self, canvas: &mut Canvas, score: f64, inks: &Inks) {
+        for (slot, glyph) in self.slots.iter().zip(characters(score)) {
+            let mut shades = slot.shades[glyph].iter();
+            for row in self.rows.clone() {
+                let pixels = &mut canvas.row_mut(row)[slot.columns.clone()];
+                for (pixel, shade) in pixels.iter_mut().zip(&mut shades) {
+                    if *shade > 0 {
+                        *pixel = inks.shade(*shade);
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Glyphs of the score with leading zeros; the sign takes a place.
+fn characters(score: f64) -> [usize; SLOTS] {
+    let whole = score.trunc().clamp(-999.0, 9999.0) as i32;
+    let mut rest = whole.unsigned_abs() as usize;
+    let mut glyphs = [0; SLOTS];
+    for glyph in glyphs.iter_mut().rev() {
+        *glyph = rest % 10;
+        rest /= 10;
+    }
+    if whole < 0 {
+        glyphs[0] = MINUS;
+    }
+    glyphs
+}
+
+/// How much a point is covered by strokes: full inside, fading over a window pixel at the edge.
+fn shade(strokes: &[Stroke], point: [f64; 2]) -> u8 {
+    let unit = [ADVANCE / 10.0, HEIGHT / 14.0];
+    let mut least = f64::INFINITY;
+    for stroke in strokes {
+        for ends in stroke.windows(2) {
+            let [from, to] = [0, 1].map(|end| [ends[end][0] * unit[0], ends[end][1] * unit[1]]);
+            least = least.min(distance(point, from, to));
+        }
+    }
+    let cover = (HALF_STROKE + 0.5 - least).clamp(0.0, 1.0);
+    (cover * f64::from(palette::SHADES - 1)).round() as u8
+}
+
+fn distance([x, y]: [f64; 2], from: [f64; 2], to: [f64; 2]) -> f64 {
+    let [dx, dy] = [to[0] - from[0], to[1] - from[1]];
+    let (px, py) = (x - from[0], y - from[1]);
+    let along = ((px * dx + py * dy) / (dx * dx + dy * dy)).clamp(0.0, 1.0);
+    (px - along * dx).hypot(py - along * dy)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn scores_are_shown_with_four_characters() {
+        assert_eq!(characters(7.9), [0, 0, 0, 7]);
+        assert_eq!(characters(926.3), [0, 9, 2, 6]);
+        assert_eq!(characters(-0.9), [0, 0, 0, 0]);
+        assert_eq!(characters(-42.0), [MINUS, 0, 4, 2]);
+        assert_eq!(characters(f64::NAN), [0, 0, 0, 0]);
+    }
+
+    #[test]
+    fn digits_look_different_in_the_observation() {
+        let picture = |score: f64| {
+            let mut canvas = Canvas::new(96, 96);
+            Text::new(96, 96).draw(&mut canvas, score, &Inks::grey());
+            canvas.pixels().to_vec()
+        };
+        let pictures: Vec<_> = (0..10).map(|digit| picture(f64::from(digit))).collect();
+        for (i, one) in pictures.iter().enumerate() {
+            assert!(pictures[..i].iter().all(|other| other != one), "{i}");
+        }
+    }
+}

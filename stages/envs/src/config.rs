@@ -1,0 +1,150 @@
+//! `env:` of the pipeline file.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::car_racing::CarRacing;
+use crate::{ActionSpace, Env, EnvError, ObservationSpace};
+
+/// Which environment, and its settings.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub enum EnvConfig {
+    /// The car on a random track, seen from above.
+    CarRacing(CarRacingConfig),
+}
+
+impl Default for EnvConfig {
+    fn default() -> Self {
+        Self::CarRacing(CarRacingConfig::default())
+    }
+}
+
+/// Settings of CarRacing.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct CarRacingConfig {
+    /// Whose picture and rules: `v0` is gym's original, which the thesis used; `v3` is Gymnasium's. Physics, tracks and
+    /// rewards are the same.
+    pub version: CarRacingVersion,
+    /// Steps (1/50 s each) after which an episode is cut off.
+    pub time_limit: u32,
+    /// The part of the tiles, from 0 to 1, that must be visited before crossing the start line ends the lap. Left out:
+    /// every tile must be visited for `v0`, 0.95 for `v3`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lap_complete_percent: Option<f64>,
+}
+
+/// Whose picture and rules.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum CarRacingVersion {
+    /// gym up to 0.21: the camera follows the velocity, one sample per pixel, all tiles make a lap.
+    #[default]
+    V0,
+    /// Gymnasium: the camera follows the hull, smooth edges, 95 % of the tiles make a lap.
+    V3,
+}
+
+impl Default for CarRacingConfig {
+    fn default() -> Self {
+        Self { version: CarRacingVersion::V0, time_limit: 1000, lap_complete_percent: None }
+    }
+}
+
+impl CarRacingConfig {
+    /// The part of the tiles that must be visited before the start line ends the lap; 1 where all are needed.
+    pub fn lap_share(&self) -> f64 {
+        self.lap_complete_percent.unwrap_or(match self.version {
+            CarRacingVersion::V0 => 1.0,
+            CarRacingVersion::V3 => 0.95,
+        })
+    }
+}
+
+impl EnvConfig {
+    /// The environment, before its first episode.
+    ///
+    /// # Errors
+    /// The first problem that [`EnvConfig::check`] finds.
+    pub fn build(&self) -> Result<Box<dyn Env>, EnvError> {
+        if let Some((field, message)) = self.check().into_iter().next() {
+            return Err(EnvError::Config { field, message });
+        }
+        match self {
+            Self::CarRacing(config) => Ok(Box::new(CarRacing::new(config.clone()))),
+        }
+    }
+
+    /// What the environment shows and takes, without building it.
+    pub fn spaces(&self) -> (ObservationSpace, ActionSpace) {
+        match self {
+            Self::CarRacing(_) => CarRacing::SPACES,
+        }
+    }
+
+    /// Every field out of range: its dotted path, and what was seen and expected.
+    pub fn check(&self) -> Vec<(String, String)> {
+        let Self::CarRacing(config) = self;
+        let mut found = Vec::new();
+        if config.time_limit == 0 {
+            found.push(("car-racing.time_limit".into(), "0 steps, expected at least 1".into()));
+        }
+        if let Some(share) = config.lap_complete_percent
+            && !(0.0..=1.0).contains(&share)
+        {
+            let message = format!("{share}, expected a number from 0 to 1 (0.95 means 95 %)");
+            found.push(("car-racing.lap_complete_percent".into(), message));
+        }
+        found
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_field_has_a_default() {
+        let config: EnvConfig = serde_json::from_str(r#"{"car-racing": {}}"#).unwrap();
+        assert_eq!(config, EnvConfig::default());
+        assert!(config.check().is_empty());
+        assert_eq!(
+            serde_json::to_string(&config).unwrap(),
+            r#"{"car-racing":{"version":"v0","time_limit":1000}}"#
+        );
+    }
+
+    #[test]
+    fn unknown_fields_and_versions_are_refused() {
+        for text in [
+            r#"{"car-racing": {"timelimit": 3}}"#,
+            r#"{"car-racing": {"version": "v1"}}"#,
+            r#"{"lander": {}}"#,
+        ] {
+            assert!(serde_json::from_str::<EnvConfig>(text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn all_fields_out_of_range_are_reported_with_their_paths() {
+        let config = EnvConfig::CarRacing(CarRacingConfig {
+            time_limit: 0,
+            lap_complete_percent: Some(f64::NAN),
+            ..CarRacingConfig::default()
+        });
+        let fields: Vec<_> = config.check().into_iter().map(|(field, _)| field).collect();
+        assert_eq!(fields, ["car-racing.time_limit", "car-racing.lap_complete_percent"]);
+        assert!(config.build().is_err());
+    }
+
+    #[test]
+    fn the_lap_rule_follows_the_version_unless_it_is_given() {
+        let of = |version, lap_complete_percent| {
+            CarRacingConfig { version, lap_complete_percent, ..Default::default() }.lap_share()
+        };
+        assert_eq!(of(CarRacingVersion::V0, None), 1.0);
+        assert_eq!(of(CarRacingVersion::V3, None), 0.95);
+        assert_eq!(of(CarRacingVersion::V3, Some(1.0)), 1.0);
+    }
+}

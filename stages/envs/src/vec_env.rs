@@ -1,0 +1,232 @@
+//! Several environments stepped together, over threads where wanted; results do not depend on how many.
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    ActionSpace, Env, EnvConfig, EnvError, EnvSnapshot, Frame, ObservationSpace, Outcome, OwnedFrame,
+};
+
+/// Several environments of one configuration. An environment whose episode ends is reset at once.
+pub struct VecEnv {
+    slots: Vec<Slot>,
+    steps: Vec<VecStep>,
+    pool: Option<rayon::ThreadPool>,
+    spaces: (ObservationSpace, ActionSpace),
+}
+
+/// What a step gave in one environment.
+#[derive(Clone, Debug, PartialEq)]
+pub struct VecStep {
+    /// The environment's own reward.
+    pub reward: f64,
+    /// How the episode that the action belonged to stands.
+    pub outcome: Outcome,
+    /// That episode, where the step ended it; [`VecEnv::frame`] then already shows the next one.
+    pub finished: Option<FinishedEpisode>,
+}
+
+/// An episode that has just ended.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FinishedEpisode {
+    /// Its seed.
+    pub seed: u64,
+    /// The sum of its rewards.
+    pub score: f64,
+    /// Its steps.
+    pub length: usize,
+    /// The observation after its last action: what a value estimate at a time limit is made from.
+    pub last_frame: OwnedFrame,
+}
+
+/// All that is needed to continue a [`VecEnv`] bit-identically.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct VecEnvSnapshot {
+    /// One per environment.
+    pub envs: Vec<VecEnvSlotSnapshot>,
+}
+
+/// One environment of a [`VecEnvSnapshot`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct VecEnvSlotSnapshot {
+    /// Seed and actions of the running episode.
+    pub env: EnvSnapshot,
+    /// The rewards so far, as bits of the `f64` sum (exact in every format).
+    pub score_bits: u64,
+    /// Steps so far.
+    pub length: usize,
+}
+
+struct Slot {
+    env: Box<dyn Env>,
+    seed: u64,
+    score: f64,
+    length: usize,
+}
+
+impl VecEnv {
+    /// `count` environments, stepped by `threads` threads.
+    ///
+    /// # Errors
+    /// The configuration is wrong, `count` or `threads` is 0, or the threads cannot be started.
+    pub fn new(config: &EnvConfig, count: usize, threads: usize) -> Result<Self, EnvError> {
+        for (field, value) in [("envs", count), ("threads", threads)] {
+            if value == 0 {
+                return Err(EnvError::Config {
+                    field: field.into(),
+                    message: "0, expected at least 1".into(),
+                });
+            }
+        }
+        let slot = |_| Ok(Slot { env: config.build()?, seed: 0, score: 0.0, length: 0 });
+        let slots = (0..count).map(slot).collect::<Result<Vec<_>, EnvError>>()?;
+        let steps = vec![VecStep { reward: 0.0, outcome: Outcome::Running, finished: None }; count];
+        let threads = threads.min(count);
+        let pool = (threads > 1).then(|| rayon::ThreadPoolBuilder::new().num_threads(threads).build());
+        let pool =
+            pool.transpose().map_err(|error| EnvError::Threads { threads, message: error.to_string() })?;
+        Ok(Self { slots, steps, pool, spaces: config.spaces() })
+    }
+
+    /// Number of environments.
+    pub fn len(&self) -> usize {
+        self.slots.len()
+    }
+
+    /// Never: there is at least one environment.
+    pub fn is_empty(&self) -> bool {
+        self.slots.is_empty()
+    }
+
+    /// What [`VecEnv::frame`] gives and [`VecEnv::step`] takes, per environment.
+    pub fn spaces(&self) -> &(ObservationSpace, ActionSpace) {
+        &self.spaces
+    }
+
+    /// Starts a new episode everywhere; `seeds` is asked in the order of the environments.
+    ///
+    /// # Errors
+    /// As [`Env::reset`].
+    pub fn reset_all(&mut self, mut seeds: impl FnMut(usize) -> u64) -> Result<(), EnvError> {
+        for (index, slot) in self.slots.iter_mut().enumerate() {
+            slot.seed = seeds(index);
+        }
+        self.for_each(|slot, _| slot.start())
+    }
+
+    /// Acts once in every environment. `actions`: `count * dims`, row-major. An environment whose episode ends is reset
+    /// at once with `next_seed(index)`, asked in the order of the environments.
+    ///
+    /// # Errors
+    /// As [`Env::step`]; nothing may be stepped after an error except after a reset or a restore.
+    pub fn step(
+        &mut self,
+        actions: &[f32],
+        mut next_seed: impl FnMut(usize) -> u64,
+    ) -> Result<&[VecStep], EnvError> {
+        let dims = self.spaces.1.action_len();
+        let expected = dims * self.slots.len();
+        if actions.len() != expected {
+            return Err(EnvError::ActionLength { seen: actions.len(), expected });
+        }
+        self.for_each(|slot, (index, step)| slot.step(&actions[index * dims..(index + 1) * dims], step))?;
+        let ended = |step: &VecStep| step.outcome.ended();
+        if self.steps.iter().any(ended) {
+            for (index, slot) in self.slots.iter_mut().enumerate() {
+                if ended(&self.steps[index]) {
+                    slot.seed = next_seed(index);
+                }
+            }
+            self.for_each(|slot, (_, step)| if step.outcome.ended() { slot.start() } else { Ok(()) })?;
+        }
+        Ok(&self.steps)
+    }
+
+    /// The newest observation of one environment.
+    pub fn frame(&self, env: usize) -> Frame<'_> {
+        self.slots[env].env.frame()
+    }
+
+    /// Seed of the running episode of one environment.
+    pub fn seed(&self, env: usize) -> u64 {
+        self.slots[env].seed
+    }
+
+    /// What [`VecEnv::restore`] needs.
+    pub fn snapshot(&self) -> VecEnvSnapshot {
+        let slot = |slot: &Slot| VecEnvSlotSnapshot {
+            env: slot.env.snapshot(),
+            score_bits: slot.score.to_bits(),
+            length: slot.length,
+        };
+        VecEnvSnapshot { envs: self.slots.iter().map(slot).collect() }
+    }
+
+    /// Brings all episodes back to where the snapshot was taken.
+    ///
+    /// # Errors
+    /// The snapshot is of another number of environments, or of another kind.
+    pub fn restore(&mut self, snapshot: &VecEnvSnapshot) -> Result<(), EnvError> {
+        let (seen, expected) = (snapshot.envs.len(), self.slots.len());
+        if seen != expected {
+            return Err(EnvError::Snapshot(format!("it has {seen} environments, expected {expected}")));
+        }
+        self.for_each(|slot, (index, _)| slot.restore(&snapshot.envs[index]))
+    }
+
+    /// Runs `work` for every environment; the error of the lowest index wins, whatever the threads do.
+    fn for_each(
+        &mut self,
+        work: impl Fn(&mut Slot, (usize, &mut VecStep)) -> Result<(), EnvError> + Sync,
+    ) -> Result<(), EnvError> {
+        let run = |(index, (slot, step)): (usize, (&mut Slot, &mut VecStep))| {
+            let result = work(slot, (index, step));
+            result.map_err(|source| EnvError::Worker { index, source: Box::new(source) })
+        };
+        let (slots, steps) = (&mut self.slots, &mut self.steps);
+        match &self.pool {
+            None => slots.iter_mut().zip(steps).enumerate().try_for_each(run),
+            Some(pool) => pool.install(|| {
+                let all = slots.par_iter_mut().zip(steps.par_iter_mut()).enumerate();
+                all.map(|item| (item.0, run(item)))
+                    .filter_map(|(index, result)| result.err().map(|error| (index, error)))
+                    .min_by_key(|(index, _)| *index)
+                    .map_or(Ok(()), |(_, error)| Err(error))
+            }),
+        }
+    }
+}
+
+impl Slot {
+    fn start(&mut self) -> Result<(), EnvError> {
+        self.env.reset(self.seed)?;
+        self.score = 0.0;
+        self.length = 0;
+        Ok(())
+    }
+
+    fn step(&mut self, action: &[f32], into: &mut VecStep) -> Result<(), EnvError> {
+        let step = self.env.step(action)?;
+        self.score += step.reward;
+        self.length += 1;
+        into.reward = step.reward;
+        into.outcome = step.outcome;
+        into.finished = step.outcome.ended().then(|| FinishedEpisode {
+            seed: self.seed,
+            score: self.score,
+            length: self.length,
+            last_frame: self.env.frame().to_owned(),
+        });
+        Ok(())
+    }
+
+    fn restore(&mut self, snapshot: &VecEnvSlotSnapshot) -> Result<(), EnvError> {
+        self.env.restore(&snapshot.env)?;
+        self.seed = snapshot.env.seed.unwrap_or(0);
+        self.score = f64::from_bits(snapshot.score_bits);
+        self.length = snapshot.length;
+        Ok(())
+    }
+}
