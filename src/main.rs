@@ -3,8 +3,12 @@
 use std::process::ExitCode;
 
 use dril_pipe::cli;
-use dril_stage_api::{Registry, RegistryError};
+use dril_stage_api::{Kind, Registry, RegistryError};
 
 fn main() -> Result<ExitCode, RegistryError> {
-    Ok(cli::run(Registry::new([])?, std::env::args_os()))
+    #[cfg(feature = "stages")]
+    let kinds: Vec<Kind> = [&dril_kinds::KINDS[..], &dril_report::KINDS].concat();
+    #[cfg(not(feature = "stages"))]
+    let kinds: Vec<Kind> = Vec::new();
+    Ok(cli::run(Registry::new(kinds)?, std::env::args_os()))
 }

@@ -1,9 +1,35 @@
 //! The command line: the only module that prints, reads the environment or exits.
+//!
+//! [`run`] is the whole program; a `main` hands in the stage kinds that it offers. Each subcommand is one file; `report`
+//! has the ways to tell how a run goes.
 
-use std::ffi::OsString;
+mod args;
+mod columns;
+mod graph;
+mod kinds;
+mod names;
+mod pipeline;
+mod plan;
+mod report;
+mod results;
+mod run;
+mod signals;
+mod terminal;
+mod why;
+
+use std::ffi::{OsStr, OsString};
+use std::path::Path;
 use std::process::ExitCode;
 
 use dril_stage_api::Registry;
+
+use crate::error::exit_codes;
+use crate::exec;
+use args::{Command, Request};
+use terminal::{Terminal, print, print_error};
+
+/// The argument that makes this program run one stage, for the engine that started it.
+const STAGE: &str = "__stage";
 
 /// A subcommand that a stage crate brings along.
 #[derive(Clone, Copy, Debug)]
@@ -12,7 +38,8 @@ pub struct Extra {
     pub name: &'static str,
     /// One line for people.
     pub about: &'static str,
-    /// Does the work with the arguments after the name; the text is printed, an error's text is reported.
+    /// Does the work with the arguments after the name. The text is printed; an error's text is reported, with exit
+    /// code 1.
     pub run: fn(&[OsString]) -> Result<String, String>,
 }
 
@@ -23,6 +50,71 @@ pub fn run(registry: Registry, args: impl IntoIterator<Item = OsString>) -> Exit
 
 /// As [`run`], with further subcommands.
 pub fn run_with(registry: Registry, extras: &[Extra], args: impl IntoIterator<Item = OsString>) -> ExitCode {
-    let _ = (registry, extras, args.into_iter().count());
-    ExitCode::FAILURE
+    let args: Vec<OsString> = args.into_iter().collect();
+    // Before anything else: this is what every stage pays.
+    if let Some(job) = stage_job(&args) {
+        return exec::run_stage(Path::new(job), &registry);
+    }
+    match args::read(args, extras, Terminal::stdout().colour) {
+        Request::Own(command) => own(&command, &registry),
+        Request::Extra(index, args) => extra(&extras[index], &args),
+        Request::Answer(text, is_mistake, code) => {
+            if is_mistake {
+                print_error(&text);
+            } else {
+                let _ = print(&text);
+            }
+            ExitCode::from(code)
+        }
+    }
+}
+
+/// Runs a program that only runs stages for an engine: `args` is `PROGRAM __stage JOB`.
+pub fn run_worker(registry: &Registry, args: impl IntoIterator<Item = OsString>) -> ExitCode {
+    let args: Vec<OsString> = args.into_iter().collect();
+    match stage_job(&args) {
+        Some(job) => exec::run_stage(Path::new(job), registry),
+        None => {
+            print_error(
+                "error: this program runs single stages for `dril-pipe`\n  = hint: run `dril-pipe --help`\n",
+            );
+            ExitCode::from(exit_codes::USAGE)
+        }
+    }
+}
+
+fn stage_job(args: &[OsString]) -> Option<&OsStr> {
+    match args {
+        [_, stage, job] if stage == STAGE => Some(job),
+        _ => None,
+    }
+}
+
+fn own(command: &Command, registry: &Registry) -> ExitCode {
+    let done = match command {
+        Command::Run(args) => run::main(args, registry),
+        Command::Plan(args) => plan::main(args, registry),
+        Command::Graph(args) => graph::main(args, registry),
+        Command::Kinds(args) => kinds::main(args, registry),
+    };
+    done.unwrap_or_else(|error| {
+        if command.speaks_json() {
+            let _ = print(&report::error_line(&error));
+        }
+        print_error(&error.to_string());
+        ExitCode::from(error.kind().exit_code())
+    })
+}
+
+fn extra(extra: &Extra, args: &[OsString]) -> ExitCode {
+    match (extra.run)(args) {
+        Ok(text) => match print(&text) {
+            Ok(()) => ExitCode::SUCCESS,
+            Err(error) => ExitCode::from(error.kind().exit_code()),
+        },
+        Err(text) => {
+            print_error(&format!("error: {}\n", text.trim_end()));
+            ExitCode::from(exit_codes::STAGE_FAILED)
+        }
+    }
 }

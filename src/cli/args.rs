@@ -1,0 +1,251 @@
+//! The command line as clap reads it, and nothing else: no other file names clap.
+
+use std::ffi::OsString;
+use std::num::NonZeroUsize;
+use std::path::PathBuf;
+
+use clap::{ArgMatches, Args, CommandFactory, FromArgMatches, Parser, Subcommand, ValueEnum};
+
+use super::Extra;
+use crate::resolve::Choices;
+
+const EXIT_CODES: &str = "\
+Exit codes:
+  0    done
+  1    a stage failed; what does not depend on it was done
+  2    the command line is wrong
+  3    the pipeline file is wrong, or a file that it names is missing; nothing ran
+  4    the store, the results folder or another file could not be read or written, or a program is missing
+  130  stopped by SIGINT or SIGTERM; the next run goes on from there";
+
+/// Runs pipelines of experiments: a YAML file of typed stages, hashed, cached, and run where something changed
+#[derive(Debug, Parser)]
+#[command(name = "dril-pipe", version, after_help = EXIT_CODES, disable_help_subcommand = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+/// What to do.
+#[derive(Debug, Subcommand)]
+pub(super) enum Command {
+    /// Run the stages that are not cached, and copy tables and figures to the results folder
+    #[command(after_help = EXIT_CODES)]
+    Run(RunArgs),
+    /// Show what would run, and which parameter or input made it so; runs nothing
+    Plan(PlanArgs),
+    /// Print the graph of stages as DOT or Mermaid
+    Graph(GraphArgs),
+    /// List the stage kinds, or one kind's parameters, inputs and outputs
+    Kinds(KindsArgs),
+}
+
+impl Command {
+    /// True for `run --json`, whose errors are lines of JSON too.
+    pub fn speaks_json(&self) -> bool {
+        matches!(self, Self::Run(args) if args.json)
+    }
+}
+
+/// Which pipeline, and what to change in it.
+#[derive(Debug, Args)]
+pub(super) struct PipelineArgs {
+    /// The pipeline file (YAML)
+    #[arg(value_name = "FILE")]
+    pub file: PathBuf,
+    /// The profile to run; without it, the first one of the file
+    #[arg(short, long, value_name = "NAME")]
+    profile: Option<String>,
+    /// Change a value, as in `--set dril.total_steps=100000`; may be given several times
+    #[arg(short, long, value_name = "PATH=VALUE")]
+    set: Vec<String>,
+}
+
+impl PipelineArgs {
+    /// As the resolver takes them.
+    pub fn choices(&self) -> Choices {
+        Choices { profile: self.profile.clone(), set: self.set.clone() }
+    }
+}
+
+/// Where finished work is kept.
+#[derive(Debug, Args)]
+pub(super) struct StoreArgs {
+    /// The store of finished work [env: DRIL_PIPE_CACHE] [default: `cache` in the current folder]
+    #[arg(long, value_name = "DIR")]
+    cache: Option<PathBuf>,
+}
+
+impl StoreArgs {
+    /// The store's folder; `env` is the value of DRIL_PIPE_CACHE.
+    pub fn folder(&self, env: Option<OsString>) -> PathBuf {
+        let env = env.filter(|value| !value.is_empty()).map(PathBuf::from);
+        self.cache.clone().or(env).unwrap_or_else(|| PathBuf::from("cache"))
+    }
+}
+
+#[derive(Debug, Args)]
+pub(super) struct RunArgs {
+    #[command(flatten)]
+    pub pipeline: PipelineArgs,
+    #[command(flatten)]
+    pub store: StoreArgs,
+    /// Where tables and figures go [default: `results/<pipeline>-<profile>`]
+    #[arg(short, long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Threads that stages may keep busy side by side [default: those of the machine]
+    #[arg(short, long, value_name = "N")]
+    pub jobs: Option<NonZeroUsize>,
+    /// Seconds between two checkpoints of a long stage
+    #[arg(long, value_name = "SECONDS", default_value = "120", value_parser = seconds)]
+    pub checkpoint_every: f64,
+    /// Start no further stage once one has failed
+    #[arg(long)]
+    pub fail_fast: bool,
+    /// Print what happens as lines of JSON
+    #[arg(long, conflicts_with = "quiet")]
+    pub json: bool,
+    /// Print nothing but errors
+    #[arg(short, long)]
+    pub quiet: bool,
+}
+
+#[derive(Debug, Args)]
+pub(super) struct PlanArgs {
+    #[command(flatten)]
+    pub pipeline: PipelineArgs,
+    #[command(flatten)]
+    pub store: StoreArgs,
+    /// One line for each stage instance, cached ones too
+    #[arg(long, conflicts_with = "json")]
+    pub all: bool,
+    /// Print the plan as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(Debug, Args)]
+pub(super) struct GraphArgs {
+    #[command(flatten)]
+    pub pipeline: PipelineArgs,
+    /// The language to print it in
+    #[arg(short, long, value_enum, default_value_t = GraphFormat::Dot)]
+    pub format: GraphFormat,
+    /// One node for each stage of the file (the default)
+    #[arg(long, conflicts_with = "instances")]
+    stages: bool,
+    /// One node for each stage instance
+    #[arg(long)]
+    pub instances: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(super) enum GraphFormat {
+    /// Graphviz, as in `dril-pipe graph FILE | dot -Tsvg`
+    Dot,
+    /// Mermaid, as Markdown pages show it
+    Mermaid,
+}
+
+#[derive(Debug, Args)]
+pub(super) struct KindsArgs {
+    /// The kind to describe; without it, all are listed
+    pub kind: Option<String>,
+    /// Print as JSON, with the JSON Schema of the parameters
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// What the arguments ask for.
+#[derive(Debug)]
+pub(super) enum Request {
+    /// One of the program's own commands.
+    Own(Command),
+    /// A subcommand that was handed in, with the arguments after its name.
+    Extra(usize, Vec<OsString>),
+    /// Help, version, or a mistake: a text, for standard output or (a mistake) standard error, and an exit code.
+    Answer(String, bool, u8),
+}
+
+/// Reads `args`, the program's name first.
+pub(super) fn read(args: Vec<OsString>, extras: &[Extra], colour: bool) -> Request {
+    let matches = match command(extras, colour).try_get_matches_from(args) {
+        Ok(matches) => matches,
+        Err(error) => return answer(&error, colour),
+    };
+    if let Some((name, below)) = matches.subcommand()
+        && let Some(index) = extras.iter().position(|extra| extra.name == name)
+    {
+        return Request::Extra(index, rest(below));
+    }
+    match Cli::from_arg_matches(&matches) {
+        Ok(cli) => Request::Own(cli.command),
+        Err(error) => answer(&error, colour),
+    }
+}
+
+fn command(extras: &[Extra], colour: bool) -> clap::Command {
+    let choice = if colour { clap::ColorChoice::Always } else { clap::ColorChoice::Never };
+    let command = Cli::command().color(choice);
+    extras.iter().fold(command, |command, extra| {
+        let rest = clap::Arg::new("args").num_args(0..).trailing_var_arg(true).allow_hyphen_values(true);
+        let rest = rest.value_parser(clap::value_parser!(OsString));
+        command
+            .subcommand(clap::Command::new(extra.name).about(extra.about).disable_help_flag(true).arg(rest))
+    })
+}
+
+fn rest(matches: &ArgMatches) -> Vec<OsString> {
+    matches.get_many::<OsString>("args").map(|args| args.cloned().collect()).unwrap_or_default()
+}
+
+fn answer(error: &clap::Error, colour: bool) -> Request {
+    let text = error.render();
+    let text = if colour { text.ansi().to_string() } else { text.to_string() };
+    let code = u8::try_from(error.exit_code()).unwrap_or(crate::error::exit_codes::USAGE);
+    Request::Answer(text, error.use_stderr(), code)
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(seconds) if seconds.is_finite() && seconds >= 0.0 => Ok(seconds),
+        _ => Err("expected a number of seconds, 0 or more".to_owned()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read_words(words: &str) -> Request {
+        let extra = Extra { name: "env", about: "environments", run: |_| Ok(String::new()) };
+        read(words.split(' ').map(OsString::from).collect(), &[extra], false)
+    }
+
+    #[test]
+    fn the_definition_is_sound() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn help_lists_every_exit_code() {
+        use crate::error::exit_codes::*;
+        for code in [OK, STAGE_FAILED, USAGE, PIPELINE, IO, INTERRUPTED] {
+            assert!(EXIT_CODES.contains(&format!("\n  {code:<4} ")), "{code}");
+        }
+    }
+
+    #[test]
+    fn a_subcommand_that_was_handed_in_gets_its_arguments_as_they_are() {
+        let Request::Extra(0, args) = read_words("dril-pipe env check --traces x --help") else { panic!() };
+        assert_eq!(args, ["check", "--traces", "x", "--help"]);
+    }
+
+    #[test]
+    fn a_wrong_command_line_ends_in_the_code_for_usage() {
+        for words in ["dril-pipe", "dril-pipe rum a.yaml", "dril-pipe run", "dril-pipe run a.yaml --jobs 0"] {
+            let Request::Answer(text, true, 2) = read_words(words) else { panic!("{words}") };
+            assert!(text.contains("Usage"), "{text}");
+        }
+    }
+}

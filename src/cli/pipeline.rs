@@ -1,0 +1,46 @@
+//! From a pipeline file on the command line to its graph: what `run`, `plan` and `graph` begin with.
+
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+
+use dril_stage_api::Registry;
+
+use super::args::{PipelineArgs, StoreArgs};
+use crate::error::Error;
+use crate::fsx;
+use crate::resolve::{self, Graph};
+use crate::spec::{self, Diagnostics, SourceName};
+use crate::store::Store;
+
+/// The environment variable that names the store.
+const CACHE: &str = "DRIL_PIPE_CACHE";
+
+/// Reads and resolves the pipeline file.
+///
+/// # Errors
+/// All that is wrong with it.
+pub(super) fn load(args: &PipelineArgs, registry: &Registry) -> Result<Graph, Error> {
+    let name = SourceName(args.file.display().to_string());
+    let text =
+        fsx::read_to_string(&args.file).map_err(|error| Diagnostics::unreadable(&name, &error.source))?;
+    let spec = spec::parse(&text, &name)?;
+    Ok(resolve::resolve(&spec, &args.choices(), registry)?)
+}
+
+/// The folder that the pipeline file's paths are relative to.
+pub(super) fn base(args: &PipelineArgs) -> PathBuf {
+    match args.file.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder.to_owned(),
+        _ => PathBuf::from("."),
+    }
+}
+
+/// Opens the store that the arguments or the environment name.
+///
+/// # Errors
+/// It cannot be used.
+pub(super) fn store(args: &StoreArgs) -> Result<Store, Error> {
+    let env: Option<OsString> = std::env::var_os(CACHE);
+    let folder = args.folder(env);
+    Ok(Store::open(Path::new(&folder))?)
+}

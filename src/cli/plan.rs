@@ -1,0 +1,168 @@
+//! `dril-pipe plan`: what would run, and why. Reads, and changes nothing.
+
+use std::process::ExitCode;
+
+use dril_stage_api::Registry;
+use serde_json::{Value, json};
+
+use super::args::PlanArgs;
+use super::names::Names;
+use super::terminal::{Style, Terminal, count, print};
+use super::{columns, pipeline, why};
+use crate::error::Error;
+use crate::plan::{self, Plan, Verdict};
+use crate::resolve::StageIndex;
+
+/// At most so many stages are named after "depends on".
+const MOST_CAUSES: usize = 4;
+
+pub(super) fn main(args: &PlanArgs, registry: &Registry) -> Result<ExitCode, Error> {
+    let graph = pipeline::load(&args.pipeline, registry)?;
+    let store = pipeline::store(&args.store)?;
+    let plan = plan::plan(&graph, &store, &pipeline::base(&args.pipeline))?;
+    if args.json {
+        print(&format!("{:#}\n", as_json(&plan)))?;
+    } else {
+        print(&table(&plan, args.all, Terminal::stdout()))?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// How many stages there are of each verdict.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Counts {
+    pub cached: usize,
+    pub run: usize,
+    pub depends: usize,
+}
+
+impl Counts {
+    /// Of this plan.
+    pub fn of(plan: &Plan<'_>) -> Self {
+        let mut counts = Self::default();
+        for (_, verdict) in &plan.steps {
+            match verdict {
+                Verdict::Cached { .. } => counts.cached += 1,
+                Verdict::Run { .. } => counts.run += 1,
+                Verdict::DependsOn { .. } => counts.depends += 1,
+            }
+        }
+        counts
+    }
+}
+
+/// One line of the table.
+#[derive(Debug, PartialEq, Eq)]
+struct Row {
+    stages: Vec<StageIndex>,
+    stage: String,
+    verdict: &'static str,
+    why: String,
+}
+
+/// The rows: instances of a stage with equal verdict and reasons share one, unless `all` are asked for.
+fn rows(plan: &Plan<'_>, names: &Names<'_>, all: bool) -> Vec<Row> {
+    let mut rows: Vec<Row> = Vec::new();
+    for (index, verdict) in &plan.steps {
+        let Some(stage) = plan.graph.stages.node_weight(*index) else { continue };
+        let (verdict, why) = words(verdict, names);
+        if verdict == CACHED && !all {
+            continue;
+        }
+        let same = |row: &Row| row.stage == *stage.name && row.verdict == verdict && row.why == why;
+        match rows.iter_mut().rev().find(|row| !all && same(row)) {
+            Some(row) => row.stages.push(*index),
+            None => rows.push(Row { stages: vec![*index], stage: stage.name.to_string(), verdict, why }),
+        }
+    }
+    rows
+}
+
+const CACHED: &str = "cached";
+
+fn words(verdict: &Verdict, names: &Names<'_>) -> (&'static str, String) {
+    match verdict {
+        Verdict::Cached { .. } => (CACHED, String::new()),
+        Verdict::Run { why: reasons, .. } => ("run", why::text(reasons)),
+        Verdict::DependsOn { stages, why: reasons } => {
+            let causes = names.groups(stages, MOST_CAUSES);
+            match why::text(reasons) {
+                own if own.is_empty() => ("depends on", causes),
+                own => ("depends on", format!("{causes}; {own}")),
+            }
+        }
+    }
+}
+
+fn table(plan: &Plan<'_>, all: bool, terminal: Terminal) -> String {
+    let names = Names::new(plan.graph);
+    let rows: Vec<Vec<String>> = rows(plan, &names, all)
+        .into_iter()
+        .map(|row| vec![names.group(&row.stages), row.verdict.to_owned(), row.why])
+        .collect();
+    let paint = |column, cell: String| match (column, cell.trim_end()) {
+        (1, "run") => terminal.paint(Style::Notable, &cell),
+        (1, _) => terminal.paint(Style::Quiet, &cell),
+        _ => cell,
+    };
+    let mut text = heading(plan, terminal);
+    text += &columns::render(&rows, terminal.width.unwrap_or(usize::MAX), &paint);
+    if !rows.is_empty() {
+        text.push('\n');
+    }
+    text + &summary(plan)
+}
+
+fn heading(plan: &Plan<'_>, terminal: Terminal) -> String {
+    let title = format!("{}, profile {}", plan.graph.pipeline, plan.graph.profile);
+    let stages = count(plan.graph.stages.node_count(), "stage");
+    format!("{}: {stages}\n\n", terminal.paint(Style::Strong, &title))
+}
+
+fn summary(plan: &Plan<'_>) -> String {
+    let Counts { cached, run, depends } = Counts::of(plan);
+    if run + depends == 0 {
+        return format!("nothing to run: {} cached\n", count(cached, "stage"));
+    }
+    let mut text = format!("{} to run", count(run, "stage"));
+    if depends > 0 {
+        text += &format!(", {depends} behind (cached still where their inputs come out as before)");
+    }
+    text + &format!(", {cached} cached\n")
+}
+
+fn as_json(plan: &Plan<'_>) -> Value {
+    let id = |index: &StageIndex| plan.graph.stages.node_weight(*index).map(|stage| stage.id.to_string());
+    let stages: Vec<Value> = plan
+        .steps
+        .iter()
+        .map(|(index, verdict)| {
+            let mut entry = match verdict {
+                Verdict::Cached { key, .. } => json!({ "verdict": "cached", "key": key.hex() }),
+                Verdict::Run { key, why } => {
+                    json!({ "verdict": "run", "key": key.hex(), "why": reasons(why) })
+                }
+                Verdict::DependsOn { stages, why } => {
+                    let stages: Vec<_> = stages.iter().filter_map(id).collect();
+                    json!({ "verdict": "depends-on", "depends_on": stages, "why": reasons(why) })
+                }
+            };
+            if let Some(stage) = plan.graph.stages.node_weight(*index) {
+                entry["stage"] = json!(*stage.id);
+                entry["kind"] = json!(stage.kind.name());
+            }
+            entry
+        })
+        .collect();
+    let Counts { cached, run, depends } = Counts::of(plan);
+    json!({
+        "pipeline": plan.graph.pipeline,
+        "profile": plan.graph.profile,
+        "counts": { "cached": cached, "run": run, "depends_on": depends },
+        "stages": stages,
+    })
+}
+
+fn reasons(reasons: &[plan::Reason]) -> Vec<Value> {
+    reasons.iter().map(why::json).collect()
+}

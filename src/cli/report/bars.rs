@@ -1,0 +1,247 @@
+//! Moving lines for a terminal: one for each running stage, and one for the whole run below them.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::time::{Duration, Instant};
+
+use dril_stage_api::Progress;
+use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
+
+use super::story::{Line, Story};
+use super::{Ending, Reporter};
+use crate::cli::terminal::{Style, Terminal, duration, printable};
+use crate::exec::Event;
+use crate::plan::{Plan, Verdict};
+use crate::resolve::{Graph, StageIndex};
+
+/// Estimates of the whole run begin when this share of the work is done.
+const ENOUGH_TO_ESTIMATE: f64 = 0.02;
+/// How often elapsed times move on.
+const TICK: Duration = Duration::from_millis(250);
+
+/// Draws bars.
+pub(super) struct Bars<'g> {
+    story: Story<'g>,
+    graph: &'g Graph,
+    terminal: Terminal,
+    live: Option<Live>,
+    running: BTreeMap<StageIndex, Running>,
+    work: Work,
+}
+
+/// What is on the screen. Made when the first stage starts: a run without work draws nothing.
+struct Live {
+    lines: MultiProgress,
+    whole: ProgressBar,
+}
+
+/// A running stage's line.
+struct Running {
+    line: ProgressBar,
+    /// When the first progress came, and how far the stage was then: it may have begun at a checkpoint.
+    first: Option<(Instant, u64)>,
+    /// The share that is done, from 0 to 1.
+    share: f64,
+}
+
+/// Sums of the stages' costs, for an estimate of the time that is left.
+#[derive(Debug, Default)]
+struct Work {
+    began: Option<Instant>,
+    /// Not begun, or running.
+    open: f64,
+    /// Done by this run.
+    done: f64,
+}
+
+impl<'g> Bars<'g> {
+    pub fn new(graph: &'g Graph, terminal: Terminal) -> Self {
+        let story = Story::new(graph, terminal);
+        Self { story, graph, terminal, live: None, running: BTreeMap::new(), work: Work::default() }
+    }
+
+    fn cost(&self, stage: StageIndex) -> f64 {
+        self.graph.stages.node_weight(stage).map_or(0.0, |stage| stage.needs.cost.max(0.0))
+    }
+
+    fn started(&mut self, stage: StageIndex) {
+        self.work.began.get_or_insert_with(Instant::now);
+        let live = self.live.get_or_insert_with(Live::new);
+        let line = ProgressBar::new_spinner().with_style(style("{spinner} {wide_msg}  {time}"));
+        let line = live.lines.insert_before(&live.whole, line);
+        line.set_message(self.story.id(stage).to_owned());
+        line.enable_steady_tick(TICK);
+        self.running.insert(stage, Running { line, first: None, share: 0.0 });
+    }
+
+    fn progressed(&mut self, stage: StageIndex, progress: &Progress) {
+        let Some(running) = self.running.get_mut(&stage) else { return };
+        let message = running.message(self.story.id(stage), progress, self.terminal);
+        running.line.set_message(message);
+    }
+
+    /// The stage is over, one way or another.
+    fn over(&mut self, stage: StageIndex, by_this_run: bool) {
+        let cost = self.cost(stage);
+        self.work.open -= cost;
+        if by_this_run {
+            self.work.done += cost;
+        }
+        if let (Some(running), Some(live)) = (self.running.remove(&stage), &self.live) {
+            running.line.finish_and_clear();
+            live.lines.remove(&running.line);
+        }
+    }
+
+    fn draw_whole(&self) {
+        let Some(live) = &self.live else { return };
+        let (settled, total) = self.story.settled();
+        let share = settled as f64 / total.max(1) as f64;
+        let mut text = format!("{} {settled}/{total} stages", self.bar(share));
+        let under_way = self.running.iter().map(|(stage, running)| self.cost(*stage) * running.share);
+        if let Some(left) = self.work.left(under_way.sum()) {
+            let _ = write!(text, ", about {} left", duration(left));
+        }
+        live.whole.set_message(text);
+    }
+
+    fn bar(&self, share: f64) -> String {
+        bar(share, self.terminal)
+    }
+
+    fn say(&self, line: Line) {
+        match &self.live {
+            Some(live) => live.lines.suspend(|| line.print()),
+            None => line.print(),
+        }
+    }
+}
+
+impl Live {
+    fn new() -> Self {
+        let lines = MultiProgress::with_draw_target(ProgressDrawTarget::stdout());
+        let whole = lines.add(ProgressBar::new_spinner().with_style(style("  {wide_msg}  {time}")));
+        whole.enable_steady_tick(TICK);
+        Self { lines, whole }
+    }
+}
+
+impl Running {
+    fn message(&mut self, id: &str, progress: &Progress, terminal: Terminal) -> String {
+        let Progress { step, total, unit, note } = progress;
+        let (since, from) = *self.first.get_or_insert_with(|| (Instant::now(), *step));
+        let mut text = if *total > 0 {
+            self.share = (*step as f64 / *total as f64).clamp(0.0, 1.0);
+            format!("{} {:>3.0}% {id}", bar(self.share, terminal), (self.share * 100.0).floor())
+        } else {
+            format!("{id}  {step} {unit}")
+        };
+        if let Some(left) = time_left(since.elapsed(), from, *step, *total) {
+            let _ = write!(text, "  {} left", duration(left));
+        }
+        if !note.is_empty() {
+            let _ = write!(text, "  {}", terminal.paint(Style::Quiet, &printable(note).replace('\n', " ")));
+        }
+        text
+    }
+}
+
+impl Work {
+    /// The time left, if the rest goes as fast as what was done; `under_way` is the cost done of running stages.
+    fn left(&self, under_way: f64) -> Option<Duration> {
+        let done = self.done + under_way;
+        let open = self.open - under_way;
+        let elapsed = self.began?.elapsed().as_secs_f64();
+        let known = done > ENOUGH_TO_ESTIMATE * (done + open) && elapsed > 3.0 && open > 0.0;
+        if known { Duration::try_from_secs_f64(elapsed * open / done).ok() } else { None }
+    }
+}
+
+/// The time left of a stage that came from step `from` to `step` of `total` within `took`.
+fn time_left(took: Duration, from: u64, step: u64, total: u64) -> Option<Duration> {
+    let made = step.checked_sub(from).filter(|made| *made > 0)? as f64;
+    let open = total.checked_sub(step).filter(|open| *open > 0)? as f64;
+    if took < Duration::from_secs(1) {
+        return None;
+    }
+    Duration::try_from_secs_f64(took.as_secs_f64() * open / made).ok()
+}
+
+/// A bar of a width that suits the terminal.
+fn bar(share: f64, terminal: Terminal) -> String {
+    let width = if terminal.width.is_some_and(|columns| columns < 70) { 8 } else { 16 };
+    let filled = (share.clamp(0.0, 1.0) * width as f64).floor() as usize;
+    let done = terminal.paint(Style::Good, &"━".repeat(filled));
+    done + &terminal.paint(Style::Quiet, &"─".repeat(width - filled))
+}
+
+fn style(template: &str) -> ProgressStyle {
+    let time = |state: &ProgressState, text: &mut dyn std::fmt::Write| {
+        let _ = text.write_str(&duration(state.elapsed()));
+    };
+    let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_spinner());
+    style.with_key("time", time).tick_chars("⠋⠙⠹⠸⠼⠴⠦⠧⠇⠏ ")
+}
+
+impl Reporter for Bars<'_> {
+    fn planned(&mut self, plan: &Plan<'_>, threads: usize) {
+        let stale = plan.steps.iter().filter(|(_, verdict)| !matches!(verdict, Verdict::Cached { .. }));
+        self.work.open = stale.map(|(stage, _)| self.cost(*stage)).sum();
+        let line = self.story.planned(plan, threads);
+        self.say(Line::Out(line));
+    }
+
+    fn event(&mut self, event: &Event) {
+        let known = self.story.settled().0;
+        match event {
+            Event::StageStarted { stage, .. } => self.started(*stage),
+            Event::Progressed { stage, progress } => self.progressed(*stage, progress),
+            Event::StageFinished { stage, .. } => self.over(*stage, true),
+            Event::StageFailed { stage, .. } | Event::Skipped { stage, .. } | Event::Stopped { stage } => {
+                self.over(*stage, false);
+            }
+            _ => {}
+        }
+        let line = self.story.event(event);
+        // A stage that was stale in the plan and came out cached is work that need not be done.
+        if let (Event::Cached { stage, .. }, Some(_)) = (event, &line) {
+            self.over(*stage, false);
+        }
+        if let Some(line) = line {
+            self.say(line);
+        }
+        if self.live.is_some() && (known != self.story.settled().0 || !self.running.is_empty()) {
+            self.draw_whole();
+        }
+    }
+
+    fn ended(&mut self, ending: &Ending<'_>) {
+        if let Some(live) = self.live.take() {
+            live.whole.finish_and_clear();
+        }
+        let line = self.story.ended(ending);
+        self.say(Line::Out(line));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stage_that_began_at_a_checkpoint_is_not_taken_for_a_fast_one() {
+        let took = Duration::from_secs(10);
+        assert_eq!(time_left(took, 0, 50, 100), Some(took));
+        assert_eq!(time_left(took, 40, 50, 100), Some(took * 5));
+        assert_eq!(time_left(took, 50, 50, 100), None);
+        assert_eq!(time_left(took, 0, 100, 100), None);
+        assert_eq!(time_left(took, 0, 5, 0), None);
+    }
+
+    #[test]
+    fn a_bar_has_one_width_at_every_share() {
+        for share in [-1.0, 0.0, 0.3, 0.999, 1.0, 7.0] {
+            assert_eq!(bar(share, Terminal::PLAIN).chars().count(), 16, "{share}");
+        }
+    }
+}

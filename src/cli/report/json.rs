@@ -1,0 +1,107 @@
+//! What happens as lines of JSON on standard output, for programs: `event` names the sort, `at` is in seconds since the
+//! start. The last line has the event `ended`, or `error` where nothing could run.
+
+use std::time::Instant;
+
+use serde_json::{Value, json};
+
+use super::{Ending, Reporter};
+use crate::cli::plan::Counts;
+use crate::cli::terminal::print;
+use crate::cli::why;
+use crate::error::Error;
+use crate::exec::Event;
+use crate::plan::Plan;
+use crate::resolve::{Graph, StageIndex};
+
+/// Prints lines of JSON.
+pub(super) struct Json<'g> {
+    graph: &'g Graph,
+    began: Instant,
+}
+
+impl<'g> Json<'g> {
+    pub fn new(graph: &'g Graph) -> Self {
+        Self { graph, began: Instant::now() }
+    }
+
+    fn say(&self, event: &str, mut fields: Value) {
+        fields["event"] = json!(event);
+        fields["at"] = json!(self.began.elapsed().as_millis() as f64 / 1000.0);
+        // A reader that has gone is no reason to stop the run.
+        let _ = print(&format!("{fields}\n"));
+    }
+
+    fn id(&self, stage: StageIndex) -> &str {
+        self.graph.stages.node_weight(stage).map_or("", |stage| &stage.id)
+    }
+
+    fn stage(&self, event: &str, stage: StageIndex, mut fields: Value) {
+        fields["stage"] = json!(self.id(stage));
+        self.say(event, fields);
+    }
+}
+
+impl Reporter for Json<'_> {
+    fn planned(&mut self, plan: &Plan<'_>, threads: usize) {
+        let Counts { cached, run, depends } = Counts::of(plan);
+        let fields = json!({
+            "pipeline": self.graph.pipeline, "profile": self.graph.profile, "threads": threads,
+            "stages": plan.steps.len(), "cached": cached, "run": run, "depends_on": depends,
+        });
+        self.say("planned", fields);
+    }
+
+    fn event(&mut self, event: &Event) {
+        match event {
+            // `planned` and `ended` say it with more.
+            Event::Started { .. } | Event::Finished { .. } => {}
+            Event::Cached { stage, key } => self.stage("cached", *stage, json!({ "key": key.hex() })),
+            Event::Waiting { stage } => self.stage("waiting", *stage, json!({})),
+            Event::StageStarted { stage, key, why } => {
+                let why: Vec<Value> = why.iter().map(why::json).collect();
+                self.stage("started", *stage, json!({ "key": key.hex(), "why": why }));
+            }
+            Event::Progressed { stage, progress } => {
+                self.stage("progress", *stage, json!(progress));
+            }
+            Event::StageFinished { stage, took } => {
+                self.stage("ran", *stage, json!({ "seconds": took.as_secs_f64() }));
+            }
+            Event::StageFailed { stage, error, log_tail, log } => {
+                let fields = json!({ "error": error, "log_tail": log_tail, "log": log.to_string_lossy() });
+                self.stage("failed", *stage, fields);
+            }
+            Event::Skipped { stage, because } => {
+                self.stage("skipped", *stage, json!({ "because": self.id(*because) }));
+            }
+            Event::Stopping => self.say("stopping", json!({})),
+            Event::Stopped { stage } => self.stage("stopped", *stage, json!({})),
+        }
+    }
+
+    fn ended(&mut self, ending: &Ending<'_>) {
+        let outcome = &ending.executed.outcome;
+        let mut fields = json!({
+            "ran": outcome.ran, "cached": outcome.cached, "failed": outcome.failed,
+            "skipped": outcome.skipped, "stopped": outcome.stopped,
+            "seconds": outcome.took.as_secs_f64(), "exit_code": ending.exit_code,
+        });
+        if let Some(published) = ending.published {
+            fields["results"] = json!({
+                "folder": published.folder.to_string_lossy(), "files": published.files,
+                "earlier": published.earlier, "removed": published.removed,
+            });
+        }
+        self.say("ended", fields);
+    }
+}
+
+/// The line of an error that kept everything from running.
+pub(in crate::cli) fn error_line(error: &Error) -> String {
+    let code = error.kind().exit_code();
+    let fields = json!({
+        "event": "error", "kind": error.kind().name(), "exit_code": code, "error": error.to_string(),
+    });
+    format!("{fields}\n")
+}

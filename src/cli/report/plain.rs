@@ -1,0 +1,82 @@
+//! Lines for a file or a pipe: one for each stage that is done, and now and then one for those that take long.
+
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
+
+use dril_stage_api::Progress;
+
+use super::story::{Line, Story};
+use super::{Ending, Reporter};
+use crate::cli::terminal::{Terminal, duration, printable};
+use crate::exec::Event;
+use crate::plan::Plan;
+use crate::resolve::{Graph, StageIndex};
+
+/// A stage that runs this long gets a line; the next one after twice the time, and so on.
+const FIRST_LINE: Duration = Duration::from_secs(30);
+/// At least this often.
+const LONGEST_SILENCE: Duration = Duration::from_secs(600);
+
+/// When a stage began, and when its next line is due.
+struct Pace {
+    began: Instant,
+    due: Duration,
+}
+
+/// Prints plain lines.
+pub(super) struct Plain<'g> {
+    story: Story<'g>,
+    running: BTreeMap<StageIndex, Pace>,
+}
+
+impl<'g> Plain<'g> {
+    pub fn new(graph: &'g Graph, terminal: Terminal) -> Self {
+        Self { story: Story::new(graph, terminal), running: BTreeMap::new() }
+    }
+
+    fn progressed(&mut self, stage: StageIndex, progress: &Progress) {
+        let Some(pace) = self.running.get_mut(&stage) else { return };
+        let ran = pace.began.elapsed();
+        if ran >= pace.due {
+            pace.due = (ran * 2).min(ran + LONGEST_SILENCE);
+            let text = format!("  {} after {}: {}", self.story.id(stage), duration(ran), reading(progress));
+            Line::Out(text).print();
+        }
+    }
+}
+
+/// `512/2000 steps, score 812`.
+fn reading(progress: &Progress) -> String {
+    let Progress { step, total, unit, note } = progress;
+    let steps = if *total > 0 { format!("{step}/{total} {unit}") } else { format!("{step} {unit}") };
+    let text = if note.is_empty() { steps } else { format!("{steps}, {note}") };
+    printable(&text).replace('\n', " ")
+}
+
+impl Reporter for Plain<'_> {
+    fn planned(&mut self, plan: &Plan<'_>, threads: usize) {
+        Line::Out(self.story.planned(plan, threads)).print();
+    }
+
+    fn event(&mut self, event: &Event) {
+        match event {
+            Event::StageStarted { stage, .. } => {
+                self.running.insert(*stage, Pace { began: Instant::now(), due: FIRST_LINE });
+            }
+            Event::Progressed { stage, progress } => self.progressed(*stage, progress),
+            Event::StageFinished { stage, .. }
+            | Event::StageFailed { stage, .. }
+            | Event::Stopped { stage } => {
+                self.running.remove(stage);
+            }
+            _ => {}
+        }
+        if let Some(line) = self.story.event(event) {
+            line.print();
+        }
+    }
+
+    fn ended(&mut self, ending: &Ending<'_>) {
+        Line::Out(self.story.ended(ending)).print();
+    }
+}

@@ -1,0 +1,32 @@
+//! Nothing but errors.
+
+use super::story::failure;
+use super::{Ending, Reporter};
+use crate::cli::terminal::print_error;
+use crate::exec::Event;
+use crate::plan::Plan;
+use crate::resolve::Graph;
+
+/// Prints failed stages to standard error, and nothing else.
+pub(super) struct Quiet<'g> {
+    graph: &'g Graph,
+}
+
+impl<'g> Quiet<'g> {
+    pub fn new(graph: &'g Graph) -> Self {
+        Self { graph }
+    }
+}
+
+impl Reporter for Quiet<'_> {
+    fn planned(&mut self, _: &Plan<'_>, _: usize) {}
+
+    fn event(&mut self, event: &Event) {
+        if let Event::StageFailed { stage, error, log_tail, log } = event {
+            let id = self.graph.stages.node_weight(*stage).map_or("", |stage| &stage.id);
+            print_error(&(failure(id, error, log_tail, log) + "\n"));
+        }
+    }
+
+    fn ended(&mut self, _: &Ending<'_>) {}
+}
