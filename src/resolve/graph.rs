@@ -82,6 +82,16 @@ pub enum From {
     },
 }
 
+impl From {
+    /// What tells it apart: the instance's number and the output, or the path.
+    pub(super) fn identity(&self) -> (usize, &str) {
+        match self {
+            Self::Stage { stage, output } => (stage.index(), output),
+            Self::File { path, .. } => (usize::MAX, path),
+        }
+    }
+}
+
 impl StageInstance {
     /// The coordinates as labels.
     pub fn labels(&self) -> Labels {
@@ -90,11 +100,16 @@ impl StageInstance {
 
     /// A file name for its results: `table22`, or `curve-clipped-1` for an instance of a matrix.
     pub fn file_stem(&self) -> String {
-        let mut stem = self.name.to_string();
-        for (_, value) in &self.coordinates {
-            stem.push('-');
-            stem.extend(value.chars().map(|c| if c.is_alphanumeric() || "._-".contains(c) { c } else { '_' }));
-        }
-        stem
+        file_stem(&self.name, self.coordinates.iter().map(|(_, value)| value.as_str()))
     }
+}
+
+/// The file name of an instance of stage `name` with these values; characters that some system refuses become `_`.
+pub(super) fn file_stem<'v>(name: &str, values: impl Iterator<Item = &'v str>) -> String {
+    let mut stem = name.to_owned();
+    for value in values {
+        stem.push('-');
+        stem.extend(value.chars().map(|c| if c.is_alphanumeric() || "._-".contains(c) { c } else { '_' }));
+    }
+    stem
 }

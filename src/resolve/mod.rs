@@ -1,14 +1,38 @@
 //! From a [`Spec`] to a [`Graph`] of stage instances: profile, overrides, matrices, parameters, wiring, type check.
 //! Pure: no I/O. All problems at once.
+//!
+//! `choices` reads profile and `--set`; `globals` and `axes` give params and axes their values; `expand` multiplies
+//! matrices out and has each instance's parameters checked; `wiring` connects instances; `build` makes the graph.
+//! `scope` knows what `$name` means where, `template` and `reference` take its text and that of a wiring apart.
 
+mod axes;
+mod build;
+mod choices;
+mod cycles;
+mod expand;
+mod globals;
 mod graph;
+mod merge;
+mod params;
+mod reference;
+mod scope;
+mod select;
+mod template;
+mod wiring;
+
+use std::collections::HashMap;
+use std::sync::Arc;
 
 pub use graph::{From, Graph, Source, StageIndex, StageInstance, Wire};
 
 use dril_stage_api::Registry;
-use petgraph::graph::DiGraph;
 
+use crate::spec::problem::Problems;
+use crate::spec::source::{Sources, Span};
 use crate::spec::{Diagnostics, Spec};
+use choices::Layers;
+use expand::World;
+use scope::{Filler, Scope};
 
 /// What the user chose on the command line.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -22,8 +46,38 @@ pub struct Choices {
 /// Resolves a pipeline file.
 ///
 /// # Errors
-/// All that is wrong with it, each with its place.
+/// All that is wrong with it, each with its place: also what [`crate::spec::parse`] found.
 pub fn resolve(spec: &Spec, choices: &Choices, registry: &Registry) -> Result<Graph, Diagnostics> {
-    let _ = (spec, choices, registry);
-    Ok(Graph { pipeline: String::new(), profile: String::new(), stages: DiGraph::new() })
+    let mut sources = Sources::new(spec.source.clone());
+    let mut problems = spec.problems.clone();
+    let layers = Layers::read(spec, choices, &mut sources, &mut problems);
+    let graph = resolve_layers(spec, &layers, registry, &sources, &mut problems);
+    match graph {
+        Some(graph) if problems.is_empty() => Ok(graph),
+        _ => Err(problems.into_diagnostics(&sources)),
+    }
+}
+
+/// `None` only where a problem was reported.
+fn resolve_layers(
+    spec: &Spec,
+    layers: &Layers<'_>,
+    registry: &Registry,
+    sources: &Sources,
+    problems: &mut Problems,
+) -> Option<Graph> {
+    let axis_places: HashMap<Arc<str>, Span> =
+        spec.base.axes.iter().map(|(key, _)| (key.text.clone(), key.span)).collect();
+    let mut filler = Filler::new(sources, problems);
+    let globals = globals::globals(spec, layers, &axis_places, &mut filler);
+    let scope = |place| Scope { globals: &globals, axes: Vec::new(), all_axes: &axis_places, place };
+    let axes = globals::axes(spec, layers, &scope("`axes`"), &mut filler);
+    let seed = match layers.seeds().last() {
+        Some(node) => globals::seed(node, &scope("the pipeline"), &mut filler),
+        None => Some(0),
+    };
+    let world =
+        World { spec, layers, registry, globals: &globals, axes: &axes, axis_places: &axis_places, seed };
+    let stages = expand::expand(&world, &mut filler);
+    build::graph(&world, stages, &mut filler)
 }

@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use super::SourceName;
 use super::layer::{self, Known};
-use super::model::{Defaults, Layer, MatrixAxis, Profile, Spec, Stage};
+use super::model::{Defaults, Entries, Layer, MatrixAxis, Profile, Spec, Stage};
 use super::names;
 use super::node::{Key, Node, Value};
 use super::problem::{Problem, Problems};
@@ -24,8 +24,8 @@ pub(super) fn spec(root: Node, name: SourceName, source: Arc<Source>, mut proble
     let mut top = Fields::read(root, &TOP, "the pipeline file", &mut problems);
     let pipeline = pipeline_name(top.take("name"), at, &mut problems);
     let mut base = Layer { seed: top.take("seed").map(|(_, node)| node), ..Layer::default() };
-    base.params = named(top.take("params"), "param", &mut problems);
-    base.axes = named(top.take("axes"), "axis", &mut problems);
+    base.params = Entries::new(named(top.take("params"), "param", &mut problems));
+    base.axes = Entries::new(named(top.take("axes"), "axis", &mut problems));
     base.defaults = layer::defaults(top.take("defaults").map(|(_, node)| node), &mut problems);
     let stages = stages(top.take("stages"), at, &mut problems);
     let known = Known::new(&base, &stages);

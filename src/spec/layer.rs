@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use super::decode::{entries, kind_defaults};
-use super::model::{Defaults, Layer, Stage};
+use super::model::{Defaults, Entries, Layer, Stage};
 use super::node::{Key, Node, shorten};
 use super::problem::{Problem, Problems};
 use super::source::Span;
@@ -38,22 +38,26 @@ impl<'a> Known<'a> {
 /// Reads overrides; `what` names where they stand.
 pub(crate) fn overrides(node: Node, known: &Known<'_>, what: &str, problems: &mut Problems) -> Layer {
     let mut layer = Layer::default();
+    let mut stages = Vec::new();
     for (key, node) in entries(node, what, problems) {
         match &*key.text {
             "seed" => layer.seed = Some(node),
             "params" => {
-                layer.params = entries(node, &format!("`params` of {what}"), problems);
-                layer.params.retain(|(key, _)| is_param(key, known, problems));
+                let mut params = entries(node, &format!("`params` of {what}"), problems);
+                params.retain(|(key, _)| is_param(key, known, problems));
+                layer.params = Entries::new(params);
             }
             "axes" => {
-                layer.axes = entries(node, &format!("`axes` of {what}"), problems);
-                layer.axes.retain(|(key, _)| is_axis(key, known, problems));
+                let mut axes = entries(node, &format!("`axes` of {what}"), problems);
+                axes.retain(|(key, _)| is_axis(key, known, problems));
+                layer.axes = Entries::new(axes);
             }
             "defaults" => layer.defaults = defaults(Some(node), problems),
-            name if known.stages.contains_key(name) => layer.stages.push((key, node)),
+            name if known.stages.contains_key(name) => stages.push((key, node)),
             _ => problems.add(|| unknown_part(&key, known)),
         }
     }
+    layer.stages = Entries::new(stages);
     layer
 }
 

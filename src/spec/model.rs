@@ -1,5 +1,6 @@
 //! What a pipeline file says, part by part, each with its place. Nothing is filled in, merged or looked up yet.
 
+use std::collections::HashMap;
 use std::sync::Arc;
 
 use super::SourceName;
@@ -46,6 +47,31 @@ impl Spec {
     }
 }
 
+/// Values by name, in the order of the file.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Entries {
+    list: Vec<(Key, Node)>,
+    index: HashMap<Arc<str>, usize>,
+}
+
+impl Entries {
+    /// Of a map's entries, whose keys are distinct.
+    pub fn new(list: Vec<(Key, Node)>) -> Self {
+        let index = list.iter().enumerate().map(|(at, (key, _))| (key.text.clone(), at)).collect();
+        Self { list, index }
+    }
+
+    /// The value of that name.
+    pub fn get(&self, name: &str) -> Option<&Node> {
+        self.index.get(name).map(|at| &self.list[*at].1)
+    }
+
+    /// All of them.
+    pub fn iter(&self) -> impl Iterator<Item = &(Key, Node)> {
+        self.list.iter()
+    }
+}
+
 /// A stage as written.
 #[derive(Clone, Debug)]
 pub(crate) struct Stage {
@@ -78,11 +104,11 @@ pub(crate) struct Defaults {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Layer {
     pub seed: Option<Node>,
-    pub params: Vec<(Key, Node)>,
-    pub axes: Vec<(Key, Node)>,
+    pub params: Entries,
+    pub axes: Entries,
     pub defaults: Vec<Defaults>,
     /// Stage -> what goes over its `with`.
-    pub stages: Vec<(Key, Node)>,
+    pub stages: Entries,
 }
 
 /// A profile as written.

@@ -55,10 +55,15 @@ impl Node {
         Self { value, span, via: None, replace: false }
     }
 
-    /// The same, brought in at `via`; the innermost place of use is kept.
+    /// The same, brought in at `via`.
     pub fn brought_in(mut self, via: Span) -> Self {
         self.via = Some(via);
         self
+    }
+
+    /// Its place and tag without its value.
+    pub fn shell(&self) -> Self {
+        Self { value: Value::Null, ..*self }
     }
 
     /// What it is, for messages: "a list", "the text `abc`".

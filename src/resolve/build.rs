@@ -1,0 +1,162 @@
+//! The graph itself: instances as nodes, wires as edges, no cycle, and no two results in one file.
+
+use std::collections::HashMap;
+
+use petgraph::graph::DiGraph;
+
+use super::cycles;
+use super::expand::{Expanded, Instance, World};
+use super::graph::{From, Graph, StageIndex, StageInstance};
+use super::scope::Filler;
+use super::wiring::{Wirer, Wires};
+use crate::spec::problem::Problem;
+use crate::spec::source::Span;
+
+/// Builds the graph; `None` where that cannot be done, which was reported.
+pub(super) fn graph(world: &World<'_>, stages: Vec<Expanded<'_>>, filler: &mut Filler<'_>) -> Option<Graph> {
+    let wires = connect(world, &stages, filler);
+    report_cycles(&stages, &wires, filler);
+    report_shared_files(&stages, filler);
+    if !filler.problems.is_empty() {
+        return None;
+    }
+    let mut graph = DiGraph::with_capacity(wires.len(), wires.len());
+    let mut wires = wires.into_iter();
+    for mut stage in stages {
+        for (number, instance) in std::mem::take(&mut stage.instances).into_iter().enumerate() {
+            graph.add_node(node(&stage, number, instance?, wires.next()?)?);
+        }
+    }
+    add_edges(&mut graph);
+    let globals = world.globals;
+    Some(Graph {
+        pipeline: globals.pipeline.to_string(),
+        profile: globals.profile.to_string(),
+        stages: graph,
+    })
+}
+
+/// The wires of every instance, by its number in the graph.
+fn connect(world: &World<'_>, stages: &[Expanded<'_>], filler: &mut Filler<'_>) -> Vec<Wires> {
+    let mut wirer = Wirer::new(world, stages, filler);
+    let mut wires = Vec::new();
+    for stage in stages {
+        for (number, instance) in stage.instances.iter().enumerate() {
+            let connected = instance.as_ref().map(|instance| wirer.connect(stage, number, instance));
+            wires.push(connected.unwrap_or_default());
+        }
+    }
+    wires
+}
+
+fn node(stage: &Expanded<'_>, number: usize, instance: Instance, wires: Wires) -> Option<StageInstance> {
+    let coordinates = stage.coordinates(number);
+    Some(StageInstance {
+        name: stage.stage.name.text.clone(),
+        id: stage.id(number).into(),
+        coordinates: coordinates
+            .iter()
+            .map(|(axis, value)| ((*axis).to_owned(), value.label.to_string()))
+            .collect(),
+        kind: stage.kind?,
+        params: instance.params,
+        seed: instance.seed,
+        needs: instance.needs,
+        ports: instance.ports,
+        inputs: wires.into_iter().map(|(wire, _)| wire).collect(),
+    })
+}
+
+fn add_edges(graph: &mut DiGraph<StageInstance, (), u32>) {
+    for consumer in graph.node_indices() {
+        let wires = graph[consumer].inputs.iter();
+        let mut producers: Vec<StageIndex> =
+            wires.flat_map(|wire| &wire.sources).filter_map(producer).collect();
+        producers.sort_unstable();
+        producers.dedup();
+        for producer in producers {
+            graph.add_edge(producer, consumer, ());
+        }
+    }
+}
+
+fn producer(source: &super::Source) -> Option<StageIndex> {
+    match &source.from {
+        From::Stage { stage, .. } => Some(*stage),
+        From::File { .. } => None,
+    }
+}
+
+fn report_cycles(stages: &[Expanded<'_>], wires: &[Wires], filler: &mut Filler<'_>) {
+    let sources = |wires: &Wires| {
+        let sources = wires.iter().flat_map(|(wire, _)| &wire.sources);
+        sources.filter_map(producer).map(StageIndex::index).collect()
+    };
+    let dependencies: Vec<Vec<usize>> = wires.iter().map(sources).collect();
+    let found = cycles::order(&dependencies);
+    for mut cycle in found.cycles {
+        // From a stage to those that read it, and from the first in the file: parallel cycles of a matrix look the same.
+        cycle.reverse();
+        let first = cycle.iter().enumerate().min_by_key(|(_, number)| **number).map_or(0, |(at, _)| at);
+        cycle.rotate_left(first);
+        filler.problems.add(|| cycle_problem(&cycle, stages, wires));
+    }
+}
+
+fn cycle_problem(cycle: &[usize], stages: &[Expanded<'_>], wires: &[Wires]) -> Problem {
+    let stage_of = |number: usize| stages.partition_point(|stage| stage.first <= number) - 1;
+    let of = |number: usize| &stages[stage_of(number)];
+    let mut distinct: Vec<usize> = cycle.iter().map(|number| stage_of(*number)).collect();
+    distinct.sort_unstable();
+    distinct.dedup();
+    let name = |number: usize| {
+        let stage = of(number);
+        if distinct.len() == cycle.len() { stage.name().to_owned() } else { stage.id(number - stage.first) }
+    };
+    let path: Vec<String> = cycle.iter().chain(cycle.first()).map(|number| name(*number)).collect();
+    let step = |at: usize| {
+        let (from, to) = (cycle[at], cycle[(at + 1) % cycle.len()]);
+        (wire_place(from, to, wires, of(to)), format!("`{}` reads `{}`", name(to), name(from)))
+    };
+    let (at, label) = step(0);
+    let first = Problem::new(at, format!("stages wait for each other in a circle: `{}`", path.join(" -> ")))
+        .label(label)
+        .hint("an arrow runs from a stage to one that reads it; take one of these inputs away");
+    (1..cycle.len().min(8)).map(step).fold(first, |problem, (at, label)| problem.related(at, label))
+}
+
+fn wire_place(from: usize, to: usize, wires: &[Wires], stage: &Expanded<'_>) -> Span {
+    let wire = wires[to]
+        .iter()
+        .find(|(wire, _)| wire.sources.iter().filter_map(producer).any(|producer| producer.index() == from));
+    wire.map_or(stage.stage.name.span, |(_, at)| *at)
+}
+
+/// Results are copied to one folder: two instances must not write the same file there.
+fn report_shared_files(stages: &[Expanded<'_>], filler: &mut Filler<'_>) {
+    let mut taken: HashMap<String, (usize, usize)> = HashMap::new();
+    for (at, stage) in stages.iter().enumerate() {
+        for (number, instance) in stage.instances.iter().enumerate() {
+            let results = instance
+                .iter()
+                .any(|instance| instance.ports.outputs.iter().any(|output| output.artifact.is_result()));
+            if !results {
+                continue;
+            }
+            let labels = stage.coordinates(number);
+            let stem = super::graph::file_stem(stage.name(), labels.iter().map(|(_, value)| &*value.label));
+            let Some((other, earlier)) = taken.insert(stem.clone(), (at, number)) else { continue };
+            let other = &stages[other];
+            filler.problems.add(|| {
+                let message = format!(
+                    "the results of `{}` and of `{}` would both be called `{stem}`",
+                    other.id(earlier),
+                    stage.id(number)
+                );
+                Problem::new(stage.stage.name.span, message)
+                    .maybe_related(Some(other.stage.name.span), "the other")
+                    .hint("rename the stage or the value of the axis")
+            });
+        }
+    }
+}

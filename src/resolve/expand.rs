@@ -1,0 +1,310 @@
+//! From stages to their instances: matrices are multiplied out, and each instance's parameters are put together from
+//! defaults, stage, profile and `--set`, and checked by its kind.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use dril_stage_api::{Kind, Needs, Ports, Registry, Seed};
+use serde_json::Value as Json;
+
+use super::axes::{Axes, Axis, AxisValue};
+use super::choices::Layers;
+use super::globals;
+use super::params;
+use super::scope::{Filler, Globals, Scope};
+use crate::spec::Spec;
+use crate::spec::model::{Defaults, MatrixAxis, Stage};
+use crate::spec::node::{Key, Node, Value};
+use crate::spec::problem::Problem;
+use crate::spec::source::Span;
+use crate::spec::suggest;
+
+/// More stage instances than this are refused: a slip in a matrix, not a plan.
+const MAX_INSTANCES: usize = 100_000;
+
+/// A stage with its instances.
+pub(super) struct Expanded<'a> {
+    pub stage: &'a Stage,
+    /// `None` where it is unknown, which was reported.
+    pub kind: Option<Kind>,
+    /// `None` where one of them is broken, which was reported; then there are no instances.
+    pub axes: Option<Vec<Axis>>,
+    /// The number of its first instance in the graph.
+    pub first: usize,
+    /// In matrix order, the last axis fastest; `None` for one that is broken, which was reported.
+    pub instances: Vec<Option<Instance>>,
+    /// Its wiring, the stage's own before its kind's defaults.
+    pub inputs: Vec<(&'a Key, &'a Node)>,
+}
+
+/// What an instance is, apart from its wiring.
+pub(super) struct Instance {
+    pub params: Json,
+    pub ports: Ports,
+    pub needs: Needs,
+    pub seed: Option<Seed>,
+}
+
+impl Expanded<'_> {
+    /// Its name.
+    pub fn name(&self) -> &str {
+        &self.stage.name.text
+    }
+
+    /// The axes, none where they are broken.
+    pub fn axes(&self) -> &[Axis] {
+        self.axes.as_deref().unwrap_or_default()
+    }
+
+    /// The position on each axis of an instance.
+    pub fn positions(&self, mut instance: usize) -> Vec<usize> {
+        let mut positions = vec![0; self.axes().len()];
+        for (position, axis) in positions.iter_mut().zip(self.axes()).rev() {
+            *position = instance % axis.values.len();
+            instance /= axis.values.len();
+        }
+        positions
+    }
+
+    /// Axis and value of an instance, in the order of the matrix.
+    pub fn coordinates(&self, instance: usize) -> Vec<(&str, &AxisValue)> {
+        let positions = self.positions(instance);
+        self.axes().iter().zip(positions).map(|(axis, at)| (&*axis.name, &axis.values[at])).collect()
+    }
+
+    /// `dril[expert=clipped, policy=beta]`.
+    pub fn id(&self, instance: usize) -> String {
+        let coordinates = self.coordinates(instance);
+        if coordinates.is_empty() {
+            return self.name().to_owned();
+        }
+        let pairs: Vec<String> =
+            coordinates.iter().map(|(axis, value)| format!("{axis}={}", value.label)).collect();
+        format!("{}[{}]", self.name(), pairs.join(", "))
+    }
+}
+
+/// What every expansion looks at.
+pub(super) struct World<'a> {
+    pub spec: &'a Spec,
+    pub layers: &'a Layers<'a>,
+    pub registry: &'a Registry,
+    pub globals: &'a Globals,
+    pub axes: &'a Axes,
+    pub axis_places: &'a HashMap<Arc<str>, Span>,
+    /// The pipeline's seed; `None` where it is broken, which was reported.
+    pub seed: Option<u64>,
+}
+
+impl<'a> World<'a> {
+    /// The names at an instance of a stage.
+    pub fn scope(&self, axes: Vec<(&'a str, &'a AxisValue)>, place: &'a str) -> Scope<'a> {
+        Scope { globals: self.globals, axes, all_axes: self.axis_places, place }
+    }
+}
+
+/// Expands all stages, in the order of the file.
+pub(super) fn expand<'a>(world: &World<'a>, filler: &mut Filler<'_>) -> Vec<Expanded<'a>> {
+    let defaults = world.layers.defaults();
+    unknown_kinds(world, &defaults, filler);
+    let mut total = 0;
+    let mut all = Vec::with_capacity(world.spec.stages.len());
+    for stage in &world.spec.stages {
+        let shared = stage.kind.as_ref().and_then(|kind| defaults.get(&*kind.text));
+        let shared = shared.map_or(&[] as &[&Defaults], Vec::as_slice);
+        let mut expanded = Expanded {
+            stage,
+            kind: kind(stage, world, filler),
+            axes: matrix(stage, world, filler),
+            first: total,
+            instances: Vec::new(),
+            inputs: wiring(stage, shared),
+        };
+        let count = expanded.axes.as_ref().map_or(0, |axes| count(axes));
+        total = total.saturating_add(count);
+        if total > MAX_INSTANCES {
+            filler.problems.add(|| {
+                let message =
+                    format!("with this stage, the pipeline has more than {MAX_INSTANCES} stage instances");
+                Problem::new(stage.name.span, message).hint("is there an axis too many in its matrix?")
+            });
+            break;
+        }
+        expanded.instances = instances(&expanded, shared, count, world, filler);
+        all.push(expanded);
+    }
+    all
+}
+
+fn count(axes: &[Axis]) -> usize {
+    axes.iter().fold(1, |count: usize, axis| count.saturating_mul(axis.values.len()))
+}
+
+fn unknown_kinds(world: &World<'_>, defaults: &HashMap<&str, Vec<&Defaults>>, filler: &mut Filler<'_>) {
+    let keys = defaults.values().flatten().map(|defaults| &defaults.kind);
+    for key in keys.filter(|key| world.registry.get(&key.text).is_none()) {
+        filler.problems.add(|| unknown_kind(key, "defaults for the unknown kind", world));
+    }
+}
+
+fn unknown_kind(key: &Key, what: &str, world: &World<'_>) -> Problem {
+    let name = crate::spec::node::shorten(&key.text);
+    Problem::new(key.span, format!("{what} `{name}`"))
+        .hint(suggest::hint(&key.text, "the kinds", world.registry.iter().map(Kind::name)))
+        .hint("`dril-pipe kinds` describes them")
+}
+
+fn kind(stage: &Stage, world: &World<'_>, filler: &mut Filler<'_>) -> Option<Kind> {
+    let key = stage.kind.as_ref()?;
+    let kind = world.registry.get(&key.text).copied();
+    if kind.is_none() {
+        let what = format!("stage `{}` has the unknown kind", stage.name.text);
+        filler.problems.add(|| unknown_kind(key, &what, world));
+    }
+    kind
+}
+
+fn matrix(stage: &Stage, world: &World<'_>, filler: &mut Filler<'_>) -> Option<Vec<Axis>> {
+    let axes: Vec<Option<Axis>> =
+        stage.matrix.iter().map(|axis| matrix_axis(axis, stage, world, filler)).collect();
+    axes.into_iter().collect()
+}
+
+fn matrix_axis(axis: &MatrixAxis, stage: &Stage, world: &World<'_>, filler: &mut Filler<'_>) -> Option<Axis> {
+    let shared = world.axes.0.get(&axis.name.text);
+    match (&axis.values, shared) {
+        (Some(values), shared) => {
+            let below = match shared {
+                Some(shared) => Some(shared.clone()?),
+                None => None,
+            };
+            let scope = world.scope(Vec::new(), "the values of an axis");
+            globals::axis(&axis.name, below, &[values], &scope, filler)
+        }
+        (None, Some(shared)) => shared.clone(),
+        (None, None) => {
+            filler.problems.add(|| {
+                let name = crate::spec::node::shorten(&axis.name.text);
+                Problem::new(
+                    axis.name.span,
+                    format!("the matrix of stage `{}` names the unknown axis `{name}`", stage.name.text),
+                )
+                .hint(suggest::hint(&axis.name.text, "the axes", world.axes.names()))
+                .hint(format!("values of this stage only are written as `matrix: {{ {name}: [1, 2] }}`"))
+            });
+            None
+        }
+    }
+}
+
+/// The wiring of a stage. What it says of an input takes the place of all that defaults say of it.
+fn wiring<'a>(stage: &'a Stage, defaults: &[&'a Defaults]) -> Vec<(&'a Key, &'a Node)> {
+    let mut inputs: Vec<(&Key, &Node)> = stage.inputs.iter().map(|(key, node)| (key, node)).collect();
+    // The highest layer first, so that it is the one that stays.
+    for (key, node) in defaults.iter().rev().flat_map(|defaults| &defaults.inputs) {
+        if inputs.iter().all(|(known, _)| known.text != key.text) {
+            inputs.push((key, node));
+        }
+    }
+    inputs
+}
+
+fn instances<'a>(
+    expanded: &Expanded<'a>,
+    defaults: &[&'a Defaults],
+    count: usize,
+    world: &World<'a>,
+    filler: &mut Filler<'_>,
+) -> Vec<Option<Instance>> {
+    let stage = expanded.stage;
+    let over = world.layers.stage(&stage.name.text);
+    let own = defaults.iter().filter_map(|defaults| defaults.with.as_ref()).chain(&stage.with);
+    let layers: Vec<&Node> = own.chain(over).collect();
+    let place = format!("stage `{}`", stage.name.text);
+    let build = |instance| {
+        let scope = Scope {
+            globals: world.globals,
+            axes: expanded.coordinates(instance),
+            all_axes: world.axis_places,
+            place: &place,
+        };
+        instance_of(expanded, &layers, &scope, world.seed, filler)
+    };
+    (0..count).map(build).collect()
+}
+
+fn instance_of(
+    expanded: &Expanded<'_>,
+    layers: &[&Node],
+    scope: &Scope<'_>,
+    pipeline_seed: Option<u64>,
+    filler: &mut Filler<'_>,
+) -> Option<Instance> {
+    let stage = expanded.stage;
+    let with = with(layers, scope, filler);
+    let own_seed = stage.seed.as_ref().map(|node| globals::seed(node, scope, filler));
+    let (kind, with) = (expanded.kind?, with?);
+    let whole = stage.with.as_ref().map_or(stage.name.span, |with| with.span);
+    let checked = kind.normalize(&params::to_json(&with)).and_then(|params| {
+        let (ports, needs) = (kind.ports(&params)?, kind.needs(&params)?);
+        Ok((params, ports, needs))
+    });
+    if own_seed.is_some() && !kind.seeded() {
+        let at = stage.seed.as_ref().map_or(stage.name.span, |seed| seed.span);
+        filler.problems.add(|| {
+            Problem::new(
+                at,
+                format!(
+                    "stage `{}` has a seed, but kind `{}` draws no random number",
+                    stage.name.text,
+                    kind.name()
+                ),
+            )
+            .hint("remove `seed`")
+        });
+    }
+    match checked {
+        Ok((params, ports, needs)) => {
+            let seed = own_seed.unwrap_or(pipeline_seed);
+            let seed = if kind.seeded() { Some(Seed(seed?)) } else { None };
+            Some(Instance { params, ports, needs, seed })
+        }
+        Err(found) => {
+            for problem in &found {
+                filler.problems.add(|| params::explain(problem, &with, &stage.name.text, whole));
+            }
+            None
+        }
+    }
+}
+
+/// The parameters of an instance, put together; an empty map where nothing is written.
+fn with(layers: &[&Node], scope: &Scope<'_>, filler: &mut Filler<'_>) -> Option<Node> {
+    let mut maps = Vec::new();
+    let mut fine = true;
+    for layer in layers {
+        match filler.fill(layer, scope) {
+            Some(node) => match &node.value {
+                Value::Map(_) => maps.push(node),
+                Value::Null => {}
+                _ => {
+                    fine = false;
+                    filler.problems.add(|| {
+                        Problem::new(
+                            node.span,
+                            format!(
+                                "the parameters of {} are {}, expected a map of fields",
+                                scope.place,
+                                node.describe()
+                            ),
+                        )
+                        .maybe_related(node.via, "used here")
+                    });
+                }
+            },
+            None => fine = false,
+        }
+    }
+    let empty = Node::new(Value::Map(Vec::new()), Span::new(0, 0..0));
+    fine.then(|| maps.into_iter().reduce(super::merge::merge).unwrap_or(empty))
+}

@@ -1,0 +1,159 @@
+//! From values with places to the parameters of a kind, and from what the kind says of them back to the places.
+
+use dril_stage_api::ParamProblem;
+use serde_json::Value as Json;
+
+use crate::spec::node::{Key, Node, Value};
+use crate::spec::problem::Problem;
+use crate::spec::source::Span;
+
+/// The value without its places.
+pub(super) fn to_json(node: &Node) -> Json {
+    match &node.value {
+        Value::Null => Json::Null,
+        Value::Bool(value) => Json::Bool(*value),
+        Value::Number(number, _) => Json::Number(number.clone()),
+        Value::Text(text) => Json::String(text.to_string()),
+        Value::List(items) => Json::Array(items.iter().map(to_json).collect()),
+        Value::Map(entries) => {
+            Json::Object(entries.iter().map(|(key, node)| (key.text.to_string(), to_json(node))).collect())
+        }
+    }
+}
+
+/// What a kind found wrong with `with`, the parameters of `stage`, at the line that the wrong value came from. `whole`
+/// is the place of what is missing altogether.
+pub(super) fn explain(found: &ParamProblem, with: &Node, stage: &str, whole: Span) -> Problem {
+    let reached = follow(with, &found.path);
+    let words = found.message.trim_end_matches('.');
+    let unknown = unknown_name(words).and_then(|seen| reached.key_called(seen));
+    let (message, better) = match words.strip_prefix("found ") {
+        Some(rest) if reached.whole => {
+            let (plain, better) = plain_words(rest, reached.node);
+            (format!("stage `{stage}`: `{}` is {plain}", found.path.join(".")), better)
+        }
+        _ => (format!("stage `{stage}`{}: {words}", inside(words, &found.path)), None),
+    };
+    let at = unknown.map_or_else(|| reached.place(whole), |key| key.span);
+    let used = reached.node.via.filter(|_| at == reached.node.span);
+    Problem::new(at, message).maybe_hint(found.hint.clone().or(better)).maybe_related(used, "used here")
+}
+
+/// ", in `env.car-racing`" for what is unknown or missing somewhere inside.
+fn inside(words: &str, path: &[String]) -> String {
+    let parent = match path.split_last() {
+        Some((_, parent)) if words.starts_with("unknown field") => parent,
+        _ if words.starts_with("missing") || words.starts_with("unknown value") => path,
+        _ => &[],
+    };
+    if parent.is_empty() { String::new() } else { format!(", in `{}`", parent.join(".")) }
+}
+
+/// How far a path leads.
+struct Reached<'n> {
+    key: Option<&'n Key>,
+    node: &'n Node,
+    /// True where it leads to its end: the last node is the one that the path names.
+    whole: bool,
+}
+
+impl<'n> Reached<'n> {
+    fn place(&self, whole: Span) -> Span {
+        match self.key {
+            None => whole,
+            Some(key) if self.node.span.is_empty() => key.span,
+            Some(_) => self.node.span,
+        }
+    }
+
+    /// The key of that name, here or just inside.
+    fn key_called(&self, name: &str) -> Option<&'n Key> {
+        let here = self.key.filter(|key| &*key.text == name);
+        here.or_else(|| self.node.get(name).map(|(key, _)| key))
+    }
+}
+
+fn follow<'n>(node: &'n Node, path: &[String]) -> Reached<'n> {
+    let mut reached = Reached { key: None, node, whole: true };
+    for name in path {
+        let next = match &reached.node.value {
+            Value::Map(_) => reached.node.get(name).map(|(key, node)| (Some(key), node)),
+            Value::List(items) => {
+                name.parse::<usize>().ok().and_then(|at| items.get(at)).map(|item| (reached.key, item))
+            }
+            _ => None,
+        };
+        match next {
+            Some((key, node)) => reached = Reached { key, node, whole: true },
+            None => return Reached { whole: false, ..reached },
+        }
+    }
+    reached
+}
+
+/// The name in "unknown field `x`" and its like.
+fn unknown_name(message: &str) -> Option<&str> {
+    message.strip_prefix("unknown ")?.split('`').nth(1)
+}
+
+/// serde's words for what it found and expected, in words of the pipeline file.
+fn plain_words(text: &str, node: &Node) -> (String, Option<String>) {
+    let Some((_, expected)) = text.split_once(", expected ") else { return (text.to_owned(), None) };
+    let (expected, hint) = match expected {
+        "u8" | "u16" | "u32" | "u64" | "usize" => ("a whole number, 0 or more", whole_number(node)),
+        "i8" | "i16" | "i32" | "i64" | "isize" => ("a whole number", whole_number(node)),
+        "f32" | "f64" => ("a number", without_underscores(node)),
+        "a boolean" => ("`true` or `false`", boolean(node)),
+        "a string" => ("a text", scalar(node)),
+        "a sequence" => ("a list", None),
+        "map with a single key" => ("a map with one key", several(node)),
+        other if other.starts_with("struct ") || other == "a map" => ("a map of fields", None),
+        other => (other, None),
+    };
+    (format!("{}, expected {expected}", node.describe()), hint)
+}
+
+fn whole_number(node: &Node) -> Option<String> {
+    match &node.value {
+        Value::Number(number, _) => {
+            let value =
+                number.as_f64().filter(|value| value.fract() == 0.0 && (0.0..9e15).contains(value))?;
+            number
+                .is_f64()
+                .then(|| format!("write `{value:.0}`: a number with a point or an exponent is not whole"))
+        }
+        _ => without_underscores(node),
+    }
+}
+
+fn without_underscores(node: &Node) -> Option<String> {
+    let Value::Text(text) = &node.value else { return None };
+    let digits = text.replace('_', "");
+    let number =
+        digits.trim_start_matches('0').parse::<f64>().is_ok() && digits != **text || text.starts_with('0');
+    number.then(|| {
+        format!("YAML numbers have no `_` and no leading zeros: write `{}`", digits.trim_start_matches('0'))
+    })
+}
+
+fn boolean(node: &Node) -> Option<String> {
+    let Value::Text(text) = &node.value else { return None };
+    match text.to_lowercase().as_str() {
+        "yes" | "on" | "y" => Some("in YAML 1.2 that is a text: write `true`".to_owned()),
+        "no" | "off" | "n" => Some("in YAML 1.2 that is a text: write `false`".to_owned()),
+        _ => None,
+    }
+}
+
+fn scalar(node: &Node) -> Option<String> {
+    node.scalar_text().map(|text| format!("write it in quotes: `\"{text}\"`"))
+}
+
+fn several(node: &Node) -> Option<String> {
+    let Value::Map(entries) = &node.value else { return None };
+    let several = entries.len() > 1;
+    several.then(|| {
+        "maps of defaults, stage and profile are merged; write `!replace { ... }` for one that is not"
+            .to_owned()
+    })
+}

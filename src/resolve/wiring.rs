@@ -1,0 +1,474 @@
+//! Connecting the inputs of stage instances to outputs and files, with every type and number checked.
+
+use std::collections::{HashMap, HashSet};
+use std::sync::Arc;
+
+use dril_stage_api::{Arity, Input, Labels};
+
+use super::expand::{Expanded, Instance, World};
+use super::graph::{From, Source, StageIndex, Wire};
+use super::reference::{self, Reference};
+use super::scope::{Filler, Scope};
+use super::select::{self, Chosen, Consumer};
+use super::template::{self, Lone, Path, Template};
+use crate::spec::node::{Key, Node, Value};
+use crate::spec::problem::Problem;
+use crate::spec::source::Span;
+use crate::spec::suggest;
+
+/// More connections than this are refused: each takes memory, and a fan-in of all into all asks for a square of them.
+const MAX_SOURCES: usize = 1_000_000;
+
+/// The wires of one instance, each with the place of its wiring.
+pub(super) type Wires = Vec<(Wire, Span)>;
+
+/// Connects instances.
+pub(super) struct Wirer<'a, 'p, 'f> {
+    world: &'a World<'a>,
+    stages: &'a [Expanded<'a>],
+    by_name: HashMap<&'a str, usize>,
+    filler: &'f mut Filler<'p>,
+    sources: usize,
+}
+
+/// One artifact that a wiring means, or several.
+struct Item {
+    name: Option<Arc<str>>,
+    node: Node,
+    what: What,
+}
+
+enum What {
+    File(String),
+    /// The text of a reference.
+    Stage(String),
+}
+
+/// An input being connected.
+struct Connection<'c> {
+    consumer: Consumer<'c>,
+    scope: &'c Scope<'c>,
+    /// Where `inputs` says so.
+    at: Span,
+    found: Vec<Source>,
+    /// True where something was reported: what is missing then is no news.
+    broken: bool,
+}
+
+impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
+    /// For these stages.
+    pub fn new(world: &'a World<'a>, stages: &'a [Expanded<'a>], filler: &'f mut Filler<'p>) -> Self {
+        let by_name = stages.iter().enumerate().map(|(at, stage)| (stage.name(), at)).collect();
+        Self { world, stages, by_name, filler, sources: 0 }
+    }
+
+    /// The wires of an instance, in the order of its ports.
+    pub fn connect(&mut self, stage: &'a Expanded<'a>, number: usize, instance: &'a Instance) -> Wires {
+        let coordinates = stage.coordinates(number);
+        let place = format!("stage `{}`", stage.name());
+        let scope = Scope {
+            globals: self.world.globals,
+            axes: coordinates.clone(),
+            all_axes: self.world.axis_places,
+            place: &place,
+        };
+        let wired = self.by_port(stage, instance);
+        let mut wires = Vec::new();
+        let mut missing = Vec::new();
+        for input in &instance.ports.inputs {
+            let Some((key, node)) =
+                wired.get(input.name).filter(|(_, node)| !matches!(node.value, Value::Null))
+            else {
+                if input.arity != Arity::Optional {
+                    missing.push(input);
+                }
+                continue;
+            };
+            let consumer = Consumer { stage: stage.name(), input, coordinates: &coordinates };
+            let at = if node.span.source == key.span.source { key.span } else { node.span };
+            let mut connection = Connection { consumer, scope: &scope, at, found: Vec::new(), broken: false };
+            self.fill_input(node, &mut connection);
+            if let Some(wire) = self.wire(connection) {
+                wires.push((wire, node.span));
+            }
+        }
+        if !missing.is_empty() {
+            self.missing(stage, &missing);
+        }
+        wires
+    }
+
+    /// The wirings by the input that they are for; a misspelt name is reported and taken for the one that was meant.
+    fn by_port(
+        &mut self,
+        stage: &Expanded<'a>,
+        instance: &'a Instance,
+    ) -> HashMap<&'a str, (&'a Key, &'a Node)> {
+        let mut wired = HashMap::new();
+        for (key, node) in &stage.inputs {
+            if let Some(input) = instance.ports.find_input(&key.text) {
+                wired.insert(input.name, (*key, *node));
+                continue;
+            }
+            let known = || instance.ports.inputs.iter().map(|input| input.name);
+            let kind = stage.kind.map_or("", |kind| kind.name());
+            self.filler.problems.add(|| {
+                let name = crate::spec::node::shorten(&key.text);
+                Problem::new(key.span, format!("stage `{}` has no input `{name}`", stage.name()))
+                    .label(format!("not an input of kind `{kind}`"))
+                    .hint(suggest::hint(&key.text, "its inputs", known()))
+            });
+            if let Some(meant) = suggest::nearest(&key.text, known()) {
+                wired.entry(meant).or_insert((*key, *node));
+            }
+        }
+        wired
+    }
+
+    fn missing(&mut self, stage: &Expanded<'_>, missing: &[&Input]) {
+        let stages = self.stages;
+        self.filler.problems.add(|| {
+            let names: Vec<String> =
+                missing.iter().map(|input| format!("`{}` (type `{}`)", input.name, input.artifact)).collect();
+            let (word, it) = if missing.len() == 1 { ("input", "it is") } else { ("inputs", "they are") };
+            let message = format!("stage `{}` lacks the {word} {}", stage.name(), names.join(" and "));
+            let example = missing.iter().map(|input| match candidate(stages, stage, input) {
+                Some(output) => format!("{}: {output}", input.name),
+                None => format!("{}: ...", input.name),
+            });
+            let example = example.collect::<Vec<_>>().join(", ");
+            Problem::new(stage.stage.name.span, message)
+                .hint(format!("{it} connected by `inputs: {{ {example} }}`"))
+        });
+    }
+
+    fn fill_input(&mut self, node: &Node, connection: &mut Connection<'_>) {
+        let mut items = Vec::new();
+        self.items(node, None, false, connection, &mut items);
+        for item in &items {
+            match &item.what {
+                What::File(path) => {
+                    let place = self.filler.sources.get(item.node.span).place(item.node.span);
+                    let labels = name_label(item, connection);
+                    connection.found.push(Source { from: From::File { path: path.clone(), place }, labels });
+                }
+                What::Stage(text) => self.stage(text, item, connection),
+            }
+        }
+    }
+
+    /// Takes a wiring apart into single references and files. `literal` where the node came from a `$name`: what is in
+    /// it has been filled in already.
+    fn items(
+        &mut self,
+        node: &Node,
+        name: Option<&Arc<str>>,
+        literal: bool,
+        connection: &mut Connection<'_>,
+        items: &mut Vec<Item>,
+    ) {
+        match &node.value {
+            Value::Text(text) => self.text(text, node, name, literal, connection, items),
+            Value::List(list) => {
+                list.iter().for_each(|node| self.items(node, name, literal, connection, items));
+                if list.is_empty() {
+                    self.not_a_wiring(node, connection);
+                }
+            }
+            Value::Map(entries) if entries.iter().any(|(key, _)| &*key.text == "file") => {
+                self.file(entries, node, name, literal, connection, items);
+            }
+            Value::Map(entries) if name.is_none() && !entries.is_empty() => {
+                if connection.consumer.input.arity != Arity::Many {
+                    return self.named_single(node, connection);
+                }
+                entries
+                    .iter()
+                    .for_each(|(key, node)| self.items(node, Some(&key.text), literal, connection, items));
+            }
+            _ => self.not_a_wiring(node, connection),
+        }
+    }
+
+    fn text(
+        &mut self,
+        text: &str,
+        node: &Node,
+        name: Option<&Arc<str>>,
+        literal: bool,
+        connection: &mut Connection<'_>,
+        items: &mut Vec<Item>,
+    ) {
+        if !literal && let Ok(Template::Exact(path)) = template::parse(text, Lone::Keep) {
+            let at = self.filler.within(node, text, path.range.clone());
+            return match self.filler.get(&path, at, connection.scope) {
+                Some(value) => self.items(&value.brought_in(at), name, true, connection, items),
+                None => connection.broken = true,
+            };
+        }
+        let filled =
+            if literal { Some(text.to_owned()) } else { self.filler.braces(text, node, connection.scope) };
+        match filled {
+            Some(text) => {
+                items.push(Item { name: name.cloned(), node: node.clone(), what: What::Stage(text) });
+            }
+            None => connection.broken = true,
+        }
+    }
+
+    fn file(
+        &mut self,
+        entries: &[(Key, Node)],
+        node: &Node,
+        name: Option<&Arc<str>>,
+        literal: bool,
+        connection: &mut Connection<'_>,
+        items: &mut Vec<Item>,
+    ) {
+        if let [(key, path)] = entries {
+            let filled = if literal { Some(path.clone()) } else { self.filler.fill(path, connection.scope) };
+            let Some(path) = filled else {
+                connection.broken = true;
+                return;
+            };
+            if let Value::Text(text) = &path.value
+                && !text.is_empty()
+                && !text.contains('\0')
+            {
+                let what = What::File(text.to_string());
+                items.push(Item { name: name.cloned(), node: path.clone(), what });
+                return;
+            }
+            connection.broken = true;
+            let at = if path.span.is_empty() { key.span } else { path.span };
+            self.filler.problems.add(|| {
+                Problem::new(at, format!("`file` is {}, expected a path", path.describe()))
+                    .hint("paths are relative to the folder of the pipeline file")
+            });
+            return;
+        }
+        connection.broken = true;
+        self.filler.problems.add(|| {
+            Problem::new(node.span, "found `file` beside other names, expected `{ file: path }` alone")
+                .hint("in a named fan-in, write `{ my-name: { file: path }, ... }`")
+        });
+    }
+
+    fn not_a_wiring(&mut self, node: &Node, connection: &mut Connection<'_>) {
+        connection.broken = true;
+        let at = if node.span.is_empty() { connection.at } else { node.span };
+        let input = connection.consumer.input.name;
+        self.filler.problems.add(|| {
+            let what = match &node.value {
+                Value::List(_) => "an empty list".to_owned(),
+                Value::Map(entries) if entries.is_empty() => "an empty map".to_owned(),
+                Value::Map(_) => "a map inside a map".to_owned(),
+                _ => node.describe(),
+            };
+            Problem::new(at, format!("found {what} at input `{input}`, expected what is wired to it"))
+                .hint(reference::FORM)
+        });
+    }
+
+    fn named_single(&mut self, node: &Node, connection: &mut Connection<'_>) {
+        connection.broken = true;
+        let input = connection.consumer.input.name;
+        self.filler.problems.add(|| {
+            Problem::new(node.span, format!("input `{input}` takes one artifact, but found a map of names"))
+                .hint("only inputs that take many artifacts tell them apart by name")
+                .hint(reference::FORM)
+        });
+    }
+
+    /// Adds what a reference means.
+    fn stage(&mut self, text: &str, item: &Item, connection: &mut Connection<'_>) {
+        let found = self.referenced(text, item, connection);
+        match found {
+            Ok(found) => connection.found.extend(found),
+            Err(problems) => {
+                connection.broken = true;
+                for problem in problems {
+                    let used = item.node.via;
+                    self.filler.problems.add(|| problem.maybe_related(used, "used here"));
+                }
+            }
+        }
+    }
+
+    /// An empty list of problems stands for one that was reported before.
+    fn referenced(
+        &mut self,
+        text: &str,
+        item: &Item,
+        connection: &Connection<'_>,
+    ) -> Result<Vec<Source>, Vec<Problem>> {
+        let whole = item.node.span;
+        let reference = reference::parse(text).map_err(|bad| {
+            let at = self.filler.within(&item.node, text, bad.range);
+            let shown = crate::spec::node::shorten(text);
+            vec![Problem::new(at, format!("`{shown}` is no wiring: {}", bad.message)).hint(reference::FORM)]
+        })?;
+        let Some(&at) = self.by_name.get(reference.stage.text) else {
+            return Err(vec![self.unknown_stage(&reference, text, item)]);
+        };
+        let producer = &self.stages[at];
+        let chosen = self.chosen(&reference, text, item, connection).ok_or_else(Vec::new)?;
+        if producer.axes.is_none() {
+            return Err(Vec::new());
+        }
+        let numbers = select::instances(producer, &chosen, &connection.consumer, whole)?;
+        self.sources += numbers.len();
+        if self.sources > MAX_SOURCES {
+            let message = format!("the stages have more than {MAX_SOURCES} connections");
+            return Err(vec![
+                Problem::new(whole, message).hint("address fewer instances, as in `stage[axis=value]`"),
+            ]);
+        }
+        let output_at = reference
+            .output
+            .as_ref()
+            .map_or(whole, |output| self.filler.within(&item.node, text, output.range.clone()));
+        let named = item.name.as_deref();
+        let mut sources = Vec::with_capacity(numbers.len());
+        for number in numbers {
+            let instance = producer.instances.get(number).and_then(Option::as_ref).ok_or_else(Vec::new)?;
+            let output = select::output(instance, producer, &reference, &connection.consumer, output_at)
+                .map_err(|problem| vec![problem])?;
+            let stage = StageIndex::new(producer.first + number);
+            let labels = match connection.consumer.input.arity {
+                Arity::Many => select::labels(producer, number, named),
+                Arity::One | Arity::Optional => Labels::new(),
+            };
+            sources.push(Source { from: From::Stage { stage, output: output.name }, labels });
+        }
+        Ok(sources)
+    }
+
+    fn unknown_stage(&self, reference: &Reference<'_>, text: &str, item: &Item) -> Problem {
+        let at = self.filler.within(&item.node, text, reference.stage.range.clone());
+        let name = crate::spec::node::shorten(reference.stage.text);
+        let problem = Problem::new(at, format!("there is no stage `{name}`"));
+        let known = self.stages.iter().map(Expanded::name);
+        let problem = problem.hint(suggest::hint(reference.stage.text, "the stages", known));
+        if text.contains(['/', '\\'])
+            || reference.output.as_ref().is_some_and(|output| ["csv", "md", "yaml"].contains(&output.text))
+        {
+            return problem.hint(format!(
+                "a file from outside is written as `{{ file: {} }}`",
+                crate::spec::node::shorten(text)
+            ));
+        }
+        problem
+    }
+
+    /// The selectors with the values of their `$name`s.
+    fn chosen<'t>(
+        &mut self,
+        reference: &Reference<'t>,
+        text: &str,
+        item: &Item,
+        connection: &Connection<'_>,
+    ) -> Option<Vec<Chosen<'t>>> {
+        let mut all = Vec::new();
+        for selector in &reference.selectors {
+            let axis_at = self.filler.within(&item.node, text, selector.axis.range.clone());
+            let mut chosen = Chosen::all(selector, axis_at);
+            if selector.values[0].text != "*" {
+                let mut labels = Vec::new();
+                for value in &selector.values {
+                    let at = self.filler.within(&item.node, text, value.range.clone());
+                    match value.text.strip_prefix('$') {
+                        Some(name) => {
+                            let path = Path { text: name, range: value.range.clone() };
+                            labels.extend(self.looked_up(&path, at, connection)?);
+                        }
+                        None => labels.push((value.text.to_owned(), at)),
+                    }
+                }
+                chosen.labels = Some(labels);
+            }
+            all.push(chosen);
+        }
+        Some(all)
+    }
+
+    /// The labels that `$path` stands for: one, or those of a list.
+    fn looked_up(
+        &mut self,
+        path: &Path<'_>,
+        at: Span,
+        connection: &Connection<'_>,
+    ) -> Option<Vec<(String, Span)>> {
+        let node = self.filler.get(path, at, connection.scope)?;
+        let items =
+            if let Value::List(items) = &node.value { items.as_slice() } else { std::slice::from_ref(&node) };
+        let labels: Option<Vec<(String, Span)>> =
+            items.iter().map(|item| Some((item.scalar_text()?.to_string(), at))).collect();
+        if labels.is_none() {
+            self.filler.problems.add(|| {
+                Problem::new(
+                    at,
+                    format!(
+                        "`${}` is {}, expected a value of the axis or a list of such",
+                        path.text,
+                        node.describe()
+                    ),
+                )
+                .maybe_related(Some(node.span), "its value")
+            });
+        }
+        labels
+    }
+
+    fn wire(&mut self, connection: Connection<'_>) -> Option<Wire> {
+        let Connection { consumer, at, found, broken, .. } = connection;
+        let input = consumer.input;
+        let many = input.arity == Arity::Many;
+        if broken {
+            return None;
+        }
+        if !many && found.len() != 1 {
+            self.filler.problems.add(|| {
+                let message = format!(
+                    "input `{}` of stage `{}` takes one artifact, but is wired to {}",
+                    input.name,
+                    consumer.stage,
+                    found.len()
+                );
+                Problem::new(at, message).hint("address one instance, as in `stage[axis=value]`")
+            });
+            return None;
+        }
+        let mut seen = HashSet::new();
+        let twice = found.iter().any(|source| !seen.insert((source.from.identity(), &source.labels)));
+        if twice {
+            self.filler.problems.add(|| {
+                let message = format!(
+                    "input `{}` of stage `{}` is wired to the same artifact twice",
+                    input.name, consumer.stage
+                );
+                Problem::new(at, message)
+                    .hint("remove one of the two, or tell them apart by names: `{ first: a, second: b }`")
+            });
+            return None;
+        }
+        Some(Wire { port: input.name, many, sources: found })
+    }
+}
+
+fn name_label(item: &Item, connection: &Connection<'_>) -> Labels {
+    let many = connection.consumer.input.arity == Arity::Many;
+    let name = item.name.as_ref().filter(|_| many);
+    name.map(|name| ("name".to_owned(), name.to_string())).into_iter().collect()
+}
+
+/// An output of exactly the type that an input takes, for an example in a hint.
+fn candidate(stages: &[Expanded<'_>], consumer: &Expanded<'_>, input: &Input) -> Option<String> {
+    let others = stages.iter().filter(|stage| stage.name() != consumer.name());
+    others.filter_map(|stage| Some((stage, stage.instances.first()?.as_ref()?))).find_map(
+        |(stage, instance)| {
+            let output = instance.ports.outputs.iter().find(|output| output.artifact == input.artifact)?;
+            Some(format!("{}.{}", stage.name(), output.name))
+        },
+    )
+}
