@@ -1,9 +1,17 @@
 //! Files, with the path in every error. The only user of `std::fs` in the engine, so that what touches the disk, and in
 //! which order it becomes durable, can be read in one place.
 
-use std::fs::{File, OpenOptions};
-use std::io::{self, Read, Write};
+pub mod fault;
+mod lock;
+
+pub use std::fs::File;
+use std::fs::{OpenOptions, Permissions};
+use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
+
+use fault::point;
+pub use lock::Lock;
 
 /// What was tried on which path, and the system's answer.
 #[derive(Debug, thiserror::Error)]
@@ -20,8 +28,7 @@ pub struct FsError {
 impl FsError {
     /// For `map_err` on an operation on `path`.
     pub fn at(action: &'static str, path: &Path) -> impl FnOnce(io::Error) -> Self {
-        let path = path.to_owned();
-        move |source| Self { action, path, source }
+        move |source| Self { action, path: path.to_owned(), source }
     }
 
     /// True where the path does not exist.
@@ -32,6 +39,15 @@ impl FsError {
 
 /// The result of an operation on a file.
 pub type Result<T> = std::result::Result<T, FsError>;
+
+/// `None` for a path that does not exist.
+fn if_there<T>(action: &'static str, path: &Path, result: io::Result<T>) -> Result<Option<T>> {
+    match result {
+        Ok(value) => Ok(Some(value)),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(FsError::at(action, path)(error)),
+    }
+}
 
 /// What is at a path, links not followed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,13 +65,18 @@ pub enum Entry {
 /// # Errors
 /// It cannot be looked at.
 pub fn entry(path: &Path) -> Result<Option<Entry>> {
-    match std::fs::symlink_metadata(path) {
-        Ok(meta) if meta.is_file() => Ok(Some(Entry::File(meta.len()))),
-        Ok(meta) if meta.is_dir() => Ok(Some(Entry::Folder)),
-        Ok(_) => Ok(Some(Entry::Other)),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-        Err(error) => Err(FsError::at("look at", path)(error)),
-    }
+    let meta = if_there("look at", path, std::fs::symlink_metadata(path))?;
+    Ok(meta.map(|meta| match meta {
+        meta if meta.is_file() => Entry::File(meta.len()),
+        meta if meta.is_dir() => Entry::Folder,
+        _ => Entry::Other,
+    }))
+}
+
+/// True where an open file is a pipe.
+pub fn is_pipe(file: &impl std::os::fd::AsFd) -> bool {
+    rustix::fs::fstat(file)
+        .is_ok_and(|stat| rustix::fs::FileType::from_raw_mode(stat.st_mode) == rustix::fs::FileType::Fifo)
 }
 
 /// The whole file; `None` where there is none.
@@ -63,11 +84,7 @@ pub fn entry(path: &Path) -> Result<Option<Entry>> {
 /// # Errors
 /// It is there and cannot be read.
 pub fn read_if_there(path: &Path) -> Result<Option<Vec<u8>>> {
-    match std::fs::read(path) {
-        Ok(bytes) => Ok(Some(bytes)),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-        Err(error) => Err(FsError::at("read", path)(error)),
-    }
+    if_there("read", path, std::fs::read(path))
 }
 
 /// The whole file.
@@ -86,12 +103,18 @@ pub fn read_to_string(path: &Path) -> Result<String> {
     std::fs::read_to_string(path).map_err(FsError::at("read", path))
 }
 
-/// Opens a file for reading.
+/// Opens a regular file for reading.
 ///
 /// # Errors
-/// It cannot be opened.
+/// It cannot be opened, or is a folder or something else that is no file.
 pub fn open(path: &Path) -> Result<File> {
-    File::open(path).map_err(FsError::at("open", path))
+    let file = File::open(path).map_err(FsError::at("open", path))?;
+    let meta = file.metadata().map_err(FsError::at("look at", path))?;
+    if meta.is_file() {
+        return Ok(file);
+    }
+    let seen = if meta.is_dir() { "it is a folder" } else { "it is no regular file" };
+    Err(FsError::at("read", path)(io::Error::other(format!("{seen}, expected a file"))))
 }
 
 /// Opens a file for appending, making it where there is none.
@@ -99,7 +122,25 @@ pub fn open(path: &Path) -> Result<File> {
 /// # Errors
 /// It cannot be opened.
 pub fn open_append(path: &Path) -> Result<File> {
+    point();
     OpenOptions::new().append(true).create(true).open(path).map_err(FsError::at("open", path))
+}
+
+/// Appends to a file in one call, making it where there is none.
+///
+/// # Errors
+/// It cannot be written.
+pub fn append(path: &Path, bytes: &[u8]) -> Result<()> {
+    write_all(&mut open_append(path)?, path, bytes)
+}
+
+/// Makes a folder; it must not be there yet.
+///
+/// # Errors
+/// It is there, or cannot be made.
+pub fn create_dir(path: &Path) -> Result<()> {
+    point();
+    std::fs::create_dir(path).map_err(FsError::at("make the folder", path))
 }
 
 /// Makes a folder and those above it; one that is there is fine.
@@ -107,6 +148,7 @@ pub fn open_append(path: &Path) -> Result<File> {
 /// # Errors
 /// It cannot be made.
 pub fn create_dir_all(path: &Path) -> Result<()> {
+    point();
     std::fs::create_dir_all(path).map_err(FsError::at("make the folder", path))
 }
 
@@ -115,11 +157,8 @@ pub fn create_dir_all(path: &Path) -> Result<()> {
 /// # Errors
 /// It is there and cannot be removed.
 pub fn remove_file(path: &Path) -> Result<bool> {
-    match std::fs::remove_file(path) {
-        Ok(()) => Ok(true),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(false),
-        Err(error) => Err(FsError::at("remove", path)(error)),
-    }
+    point();
+    Ok(if_there("remove", path, std::fs::remove_file(path))?.is_some())
 }
 
 /// Removes a folder and all that is in it; one that is not there is fine.
@@ -127,12 +166,8 @@ pub fn remove_file(path: &Path) -> Result<bool> {
 /// # Errors
 /// It is there and cannot be removed.
 pub fn remove_dir_all(path: &Path) -> Result<()> {
-    match std::fs::remove_dir_all(path) {
-        Err(error) if error.kind() != io::ErrorKind::NotFound => {
-            Err(FsError::at("remove the folder", path)(error))
-        }
-        _ => Ok(()),
-    }
+    point();
+    if_there("remove the folder", path, std::fs::remove_dir_all(path)).map(drop)
 }
 
 /// The names in a folder, sorted; empty where there is no folder.
@@ -140,11 +175,7 @@ pub fn remove_dir_all(path: &Path) -> Result<()> {
 /// # Errors
 /// It cannot be listed.
 pub fn list(path: &Path) -> Result<Vec<PathBuf>> {
-    let entries = match std::fs::read_dir(path) {
-        Ok(entries) => entries,
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
-        Err(error) => return Err(FsError::at("list", path)(error)),
-    };
+    let Some(entries) = if_there("list", path, std::fs::read_dir(path))? else { return Ok(Vec::new()) };
     let mut found = Vec::new();
     for entry in entries {
         found.push(entry.map_err(FsError::at("list", path))?.path());
@@ -158,7 +189,31 @@ pub fn list(path: &Path) -> Result<Vec<PathBuf>> {
 /// # Errors
 /// It cannot be moved.
 pub fn rename(from: &Path, to: &Path) -> Result<()> {
+    point();
     std::fs::rename(from, to).map_err(FsError::at("move a file to", to))
+}
+
+/// As [`rename`], and makes the folder of `to` where that is missing. True where it was.
+///
+/// # Errors
+/// It cannot be moved.
+pub fn rename_into(from: &Path, to: &Path) -> Result<bool> {
+    match (rename(from, to), to.parent()) {
+        (Err(error), Some(folder)) if error.is_not_found() => {
+            create_dir_all(folder)?;
+            rename(from, to).map(|()| true)
+        }
+        (result, _) => result.map(|()| false),
+    }
+}
+
+/// Takes the right to write from everybody.
+///
+/// # Errors
+/// It is not ours.
+pub fn make_read_only(file: &File, path: &Path) -> Result<()> {
+    point();
+    file.set_permissions(Permissions::from_mode(0o444)).map_err(FsError::at("make read-only", path))
 }
 
 /// Makes the file durable.
@@ -166,15 +221,36 @@ pub fn rename(from: &Path, to: &Path) -> Result<()> {
 /// # Errors
 /// The disk refuses.
 pub fn sync(file: &File, path: &Path) -> Result<()> {
+    point();
     file.sync_all().map_err(FsError::at("sync", path))
 }
 
-/// Makes names in a folder durable.
+/// Makes the names in a folder durable.
 ///
 /// # Errors
 /// The disk refuses.
 pub fn sync_dir(path: &Path) -> Result<()> {
-    sync(&open(path)?, path)
+    sync(&File::open(path).map_err(FsError::at("open", path))?, path)
+}
+
+/// Writes a new file, without a promise about power failures.
+///
+/// # Errors
+/// It cannot be written.
+pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
+    point();
+    write_all(&mut File::create(path).map_err(FsError::at("write", path))?, path, bytes)
+}
+
+/// Writes a new file and makes its content durable.
+///
+/// # Errors
+/// It cannot be written.
+pub fn write_synced(path: &Path, bytes: &[u8]) -> Result<()> {
+    point();
+    let mut file = File::create(path).map_err(FsError::at("write", path))?;
+    write_all(&mut file, path, bytes)?;
+    sync(&file, path)
 }
 
 /// Writes a file so that it is there in full or not at all, also after a power failure: a temporary file beside it,
@@ -183,7 +259,7 @@ pub fn sync_dir(path: &Path) -> Result<()> {
 /// # Errors
 /// It cannot be written; what was there is still there.
 pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<()> {
-    place(path, |file| file.write_all(bytes))
+    place(path, |file| write_all(file, path, bytes))
 }
 
 /// Copies `from` to `to` so that `to` is there in full or not at all.
@@ -192,19 +268,45 @@ pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<()> {
 /// `from` cannot be read or `to` cannot be written.
 pub fn copy_atomic(from: &Path, to: &Path) -> Result<()> {
     let mut source = open(from)?;
-    place(to, |file| io::copy(&mut source, file).map(drop))
+    place(to, |file| io::copy(&mut source, file).map(drop).map_err(FsError::at("write", to)))
 }
 
-fn place(path: &Path, fill: impl FnOnce(&mut File) -> io::Result<()>) -> Result<()> {
+/// Copies `from` to the new file `to`, without a promise about power failures.
+///
+/// # Errors
+/// `from` cannot be read or `to` cannot be written.
+pub fn copy(from: &Path, to: &Path) -> Result<()> {
+    let mut source = open(from)?;
+    point();
+    let mut file = File::create(to).map_err(FsError::at("write", to))?;
+    io::copy(&mut source, &mut file).map(drop).map_err(FsError::at("write", to))
+}
+
+fn place(path: &Path, fill: impl FnOnce(&mut File) -> Result<()>) -> Result<()> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    point();
+    // The user's own mask, as for any new file: the library's default would hide it from everybody else.
     let mut temporary = tempfile::Builder::new()
         .prefix(".tmp-")
+        .permissions(Permissions::from_mode(0o666))
         .tempfile_in(folder)
         .map_err(FsError::at("write in", folder))?;
-    fill(temporary.as_file_mut()).map_err(FsError::at("write", path))?;
+    fill(temporary.as_file_mut())?;
     sync(temporary.as_file(), path)?;
+    point();
     temporary.persist(path).map_err(|error| FsError::at("write", path)(error.error))?;
     sync_dir(folder)
+}
+
+fn write_all(file: &mut File, path: &Path, bytes: &[u8]) -> Result<()> {
+    #[cfg(debug_assertions)]
+    let bytes = {
+        let (first, rest) = bytes.split_at(bytes.len() / 2);
+        file.write_all(first).map_err(FsError::at("write", path))?;
+        point();
+        rest
+    };
+    file.write_all(bytes).map_err(FsError::at("write", path))
 }
 
 /// The last lines of a text file: at most `lines`, read from at most the last 64 KiB.
@@ -212,7 +314,6 @@ fn place(path: &Path, fill: impl FnOnce(&mut File) -> io::Result<()>) -> Result<
 /// # Errors
 /// It cannot be read.
 pub fn tail(path: &Path, lines: usize) -> Result<Vec<String>> {
-    use std::io::{Seek, SeekFrom};
     const WINDOW: u64 = 64 * 1024;
     let mut file = open(path)?;
     let length = file.metadata().map_err(FsError::at("read", path))?.len();
@@ -222,4 +323,57 @@ pub fn tail(path: &Path, lines: usize) -> Result<Vec<String>> {
     let text = String::from_utf8_lossy(&bytes);
     let all: Vec<&str> = text.lines().collect();
     Ok(all[all.len().saturating_sub(lines)..].iter().map(|line| (*line).to_owned()).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_says_what_was_tried_on_which_path() {
+        let folder = tempfile::tempdir().unwrap();
+        let missing = folder.path().join("missing");
+        let text = read(&missing).unwrap_err().to_string();
+        assert!(text.starts_with(&format!("cannot read `{}`: ", missing.display())), "{text}");
+        let text = open(folder.path()).unwrap_err().to_string();
+        assert!(text.ends_with("it is a folder, expected a file"), "{text}");
+    }
+
+    #[test]
+    fn an_atomic_write_replaces_the_file_and_leaves_nothing_beside_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("file");
+        write_atomic(&path, b"old").unwrap();
+        write_atomic(&path, b"new").unwrap();
+        assert_eq!(read(&path).unwrap(), b"new");
+        assert_eq!(list(folder.path()).unwrap(), [path]);
+    }
+
+    #[test]
+    fn a_failed_copy_leaves_what_was_there() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("file");
+        write_atomic(&path, b"old").unwrap();
+        assert!(copy_atomic(&folder.path().join("missing"), &path).is_err());
+        assert_eq!(read(&path).unwrap(), b"old");
+    }
+
+    #[test]
+    fn the_tail_is_the_last_lines() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("log");
+        let text: String = (0..20_000).map(|line| format!("line {line}\n")).collect();
+        write(&path, text.as_bytes()).unwrap();
+        assert_eq!(tail(&path, 2).unwrap(), ["line 19998", "line 19999"]);
+        assert_eq!(tail(&path, 0).unwrap(), [""; 0]);
+    }
+
+    #[test]
+    fn a_link_is_no_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("link");
+        std::os::unix::fs::symlink("/etc/hostname", &path).unwrap();
+        assert_eq!(entry(&path).unwrap(), Some(Entry::Other));
+        assert_eq!(entry(&folder.path().join("missing")).unwrap(), None);
+    }
 }

@@ -1,18 +1,29 @@
 //! Runs a plan: one dispatcher owns the state, stages run in child processes, their outputs are published to the store.
 
+mod child;
+mod dispatch;
 mod event;
+mod inline;
+mod journal;
+mod listen;
+mod ready;
+mod runner;
+mod stage;
+mod work;
 
-use std::io;
-use std::path::Path;
-use std::process::ExitCode;
+use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
-use std::time::Duration;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc;
+use std::time::{Duration, Instant};
 
-use dril_stage_api::{Message, Registry};
+pub use child::ChildRunner;
 pub use event::{Event, Outcome};
+pub use inline::InlineRunner;
+pub use runner::{Exit, Launch, Runner};
+pub use stage::{EXIT_STOPPED, run_stage};
 
-use crate::plan::Plan;
+use crate::plan::{Plan, Verdict};
 use crate::resolve::StageIndex;
 use crate::store::{Outputs, Store, StoreError};
 
@@ -36,80 +47,6 @@ impl Default for Options {
     }
 }
 
-/// What a runner is to start.
-#[derive(Clone, Copy, Debug)]
-pub struct Launch<'a> {
-    /// The job file ([`dril_stage_api::Job`] as JSON).
-    pub job: &'a Path,
-    /// The file for all that the stage prints.
-    pub log: &'a Path,
-    /// The folder that it may work in; removed afterwards.
-    pub folder: &'a Path,
-    /// The executable, beside this one, that runs the kind; `None` where this one does.
-    pub worker: Option<&'static str>,
-    /// Threads that it may keep busy.
-    pub threads: usize,
-    /// Raised when the stage shall stop: first asked to, then, after `grace`, killed.
-    pub stop: &'a AtomicBool,
-    /// See [`Options::grace`].
-    pub grace: Duration,
-}
-
-/// How a stage's process ended.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Exit {
-    /// It says that it is done.
-    Done,
-    /// It was asked to stop, and did.
-    Stopped,
-    /// It failed, for this reason.
-    Failed(String),
-}
-
-/// Runs one job, here or elsewhere.
-pub trait Runner: Sync {
-    /// Says whether it can run the kinds of that worker ([`dril_stage_api::Kind::worker`]); asked before anything runs.
-    ///
-    /// # Errors
-    /// What is missing, and how to mend it.
-    fn check(&self, worker: Option<&'static str>) -> Result<(), String> {
-        let _ = worker;
-        Ok(())
-    }
-
-    /// Runs the job to its end; `hear` is told what it says.
-    ///
-    /// # Errors
-    /// It could not be started or watched.
-    fn run(&self, launch: &Launch<'_>, hear: &mut dyn FnMut(Message)) -> io::Result<Exit>;
-}
-
-/// Runs a job in a child process of its own group: `dril-pipe __stage JOB`, or a worker beside it in the same way.
-#[derive(Clone, Debug)]
-pub struct ChildRunner {
-    /// The program for the kinds that have no worker; workers are looked for in its folder.
-    pub program: std::path::PathBuf,
-    /// Arguments before the job file.
-    pub args: Vec<std::ffi::OsString>,
-}
-
-impl ChildRunner {
-    /// This program and the workers beside it, as `__stage JOB`.
-    ///
-    /// # Errors
-    /// The system does not say which file this program is.
-    pub fn this_program() -> io::Result<Self> {
-        Ok(Self { program: std::env::current_exe()?, args: vec!["__stage".into()] })
-    }
-}
-
-impl Runner for ChildRunner {
-    fn run(&self, launch: &Launch<'_>, hear: &mut dyn FnMut(Message)) -> io::Result<Exit> {
-        let _ = (launch, hear);
-        Ok(Exit::Failed("not there yet".into()))
-    }
-}
-
 /// What came of a run.
 #[derive(Clone, Debug, Default)]
 pub struct Executed {
@@ -118,7 +55,7 @@ pub struct Executed {
     /// The outputs of every stage that is done, by node index; `None` for the others.
     pub outputs: Vec<Option<Arc<Outputs>>>,
     /// The run's folder with its manifest, events and logs; `None` where nothing had to run.
-    pub folder: Option<std::path::PathBuf>,
+    pub folder: Option<PathBuf>,
 }
 
 impl Executed {
@@ -136,14 +73,20 @@ pub enum ExecError {
     #[error(transparent)]
     Store(#[from] StoreError),
     /// Stages that would run need an executable that is not there.
-    #[error("{0}")]
-    Worker(String),
+    #[error("stages of kind `{kind}` cannot run: {message}")]
+    Worker {
+        /// The first kind of them.
+        kind: &'static str,
+        /// What is missing.
+        message: String,
+    },
 }
 
 /// Runs what the plan says, and all that turns out to be stale behind it. Stops cleanly soon after `stop` becomes true.
 ///
 /// # Errors
-/// The store cannot be used. Failures of stages are told as events and counted in the outcome.
+/// The store cannot be used, or an executable is missing. Failures of stages are told as events and counted in the
+/// outcome.
 pub fn execute(
     plan: Plan<'_>,
     store: &Store,
@@ -152,12 +95,37 @@ pub fn execute(
     stop: &AtomicBool,
     sink: &mut dyn FnMut(&Event),
 ) -> Result<Executed, ExecError> {
-    let _ = (plan, store, runner, options, stop, sink);
-    Ok(Executed::default())
+    let began = Instant::now();
+    check_workers(&plan, runner)?;
+    let Plan { graph, steps, files, order, history } = plan;
+    let halt = AtomicBool::new(false);
+    let site = work::Site { store, runner, options, halt: &halt };
+    let shape = dispatch::Shape { graph, files: &files, order: &order };
+    let mut dispatcher = dispatch::Dispatcher::new(shape, history, site, began, sink);
+    std::thread::scope(|scope| {
+        let (sender, receiver) = mpsc::sync_channel(256);
+        let result = dispatcher.run(steps, &receiver, stop, &mut |task| {
+            let sender = sender.clone();
+            scope.spawn(move || task.work(site, &sender));
+        });
+        // Where the dispatcher gave up, running stages are not to go on, and nobody listens to them any more.
+        halt.store(true, Ordering::Relaxed);
+        result
+    })?;
+    Ok(dispatcher.finish()?)
 }
 
-/// The child's side of [`ChildRunner`]: runs the job of a file. Stops at SIGTERM and SIGINT, dies with the engine.
-pub fn run_stage(job_file: &Path, registry: &Registry) -> ExitCode {
-    let _ = (job_file, registry);
-    ExitCode::FAILURE
+/// Finds out before anything runs, and not after hours, that an executable is missing.
+fn check_workers(plan: &Plan<'_>, runner: &dyn Runner) -> Result<(), ExecError> {
+    let mut checked: Vec<Option<&'static str>> = Vec::new();
+    for (stage, verdict) in &plan.steps {
+        let kind = &plan.graph.stages[*stage].kind;
+        if !matches!(verdict, Verdict::Cached { .. }) && !checked.contains(&kind.worker()) {
+            runner
+                .check(kind.worker())
+                .map_err(|message| ExecError::Worker { kind: kind.name(), message })?;
+            checked.push(kind.worker());
+        }
+    }
+    Ok(())
 }

@@ -1,13 +1,23 @@
 //! From a graph and a store to a plan: every stage's key where it can be known, and what would run, and why.
 //! Reads records, runs nothing, writes nothing.
 
+mod explain;
+mod key;
+mod lookup;
+mod order;
+
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+pub use key::{NoKey, Work, WorkInput, key_of_record};
+pub(crate) use lookup::{Cached, digest_of, key_of, look_up, record_inputs};
+pub use order::Order;
+use serde::Serialize;
+
 use crate::fsx::FsError;
-use crate::resolve::{Graph, StageIndex};
-use crate::store::{Digest, Key, Record, Store, StoreError};
+use crate::resolve::{From, Graph, StageIndex, StageInstance};
+use crate::store::{self, Digest, History, Key, Outputs, Store, StoreError};
 
 /// What will happen to each stage of a graph.
 #[derive(Debug)]
@@ -18,6 +28,8 @@ pub struct Plan<'g> {
     pub steps: Vec<(StageIndex, Verdict)>,
     /// The files from outside, by path as the pipeline file has it.
     pub files: BTreeMap<String, OutsideFile>,
+    pub(crate) order: Order,
+    pub(crate) history: History,
 }
 
 /// A file from outside, as it was when the plan was made.
@@ -29,6 +41,32 @@ pub struct OutsideFile {
     pub digest: Digest,
 }
 
+/// What will happen to a stage.
+#[derive(Debug, Clone)]
+pub enum Verdict {
+    /// Its record and the blobs are there.
+    Cached {
+        /// The key.
+        key: Key,
+        /// What was made then.
+        outputs: Arc<Outputs>,
+    },
+    /// It will run, for these reasons.
+    Run {
+        /// The key.
+        key: Key,
+        /// Why; never empty.
+        why: Vec<Reason>,
+    },
+    /// Its key is known once these have run (directly or in between); it may still turn out to be cached.
+    DependsOn {
+        /// The stages with the verdict [`Verdict::Run`] that feed it directly or through others, in node order.
+        stages: Arc<[StageIndex]>,
+        /// What is known to differ already; empty where nothing is.
+        why: Vec<Reason>,
+    },
+}
+
 /// Why no plan could be made.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -36,6 +74,17 @@ pub enum PlanError {
     /// Files from outside that cannot be read; all of them.
     #[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))]
     Files(Vec<MissingFile>),
+    /// A stage's parameters have no place in a key.
+    #[error("stage `{stage}`: {source}")]
+    Params {
+        /// The stage.
+        stage: String,
+        /// Which parameter.
+        source: NoKey,
+    },
+    /// The graph has a cycle, which resolving a pipeline file rules out.
+    #[error("stage `{0}` is on a cycle")]
+    Cycle(String),
     /// The store cannot be read.
     #[error(transparent)]
     Store(#[from] StoreError),
@@ -51,43 +100,9 @@ pub struct MissingFile {
     pub source: FsError,
 }
 
-/// Says what would run, and why. `base` is the folder of the pipeline file, to which its paths are relative.
-///
-/// # Errors
-/// A file from outside or the store cannot be read.
-pub fn plan<'g>(graph: &'g Graph, store: &Store, base: &Path) -> Result<Plan<'g>, PlanError> {
-    let _ = (store, base);
-    Ok(Plan { graph, steps: Vec::new(), files: BTreeMap::new() })
-}
-
-/// What will happen to a stage.
-#[derive(Debug, Clone)]
-pub enum Verdict {
-    /// Its record and the blobs are there.
-    Cached {
-        /// The key.
-        key: Key,
-        /// What was made then.
-        record: Box<Record>,
-    },
-    /// It will run, for these reasons.
-    Run {
-        /// The key.
-        key: Key,
-        /// Why; never empty.
-        why: Vec<Reason>,
-    },
-    /// Its key is known once these have run (directly or in between); it may still turn out to be cached.
-    DependsOn {
-        /// The stages with the verdict [`Verdict::Run`] that feed it directly or through others, in node order.
-        stages: Arc<[StageIndex]>,
-        /// What is known to differ already (its own parameters, revision or seed).
-        why: Vec<Reason>,
-    },
-}
-
 /// Why a stage is stale, against the nearest earlier record of the same stage.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[serde(tag = "because", rename_all = "kebab-case")]
 pub enum Reason {
     /// There is no earlier record of this stage.
     New,
@@ -138,4 +153,125 @@ pub enum Reason {
         /// What is wrong with it.
         error: String,
     },
+}
+
+/// Says what would run, and why. `base` is the folder of the pipeline file, to which its paths are relative.
+///
+/// # Errors
+/// A file from outside or the store cannot be read.
+pub fn plan<'g>(graph: &'g Graph, store: &Store, base: &Path) -> Result<Plan<'g>, PlanError> {
+    let files = outside_files(graph, base)?;
+    let order =
+        Order::of(graph).map_err(|stage| PlanError::Cycle(graph.stages[stage].id.as_ref().to_owned()))?;
+    let history = store.history(&graph.pipeline, &graph.profile)?;
+    let planner = Planner { graph, store, files: &files, history: &history };
+    let steps = planner.steps(&order)?;
+    Ok(Plan { graph, steps, files, order, history })
+}
+
+struct Planner<'a> {
+    graph: &'a Graph,
+    store: &'a Store,
+    files: &'a BTreeMap<String, OutsideFile>,
+    history: &'a History,
+}
+
+impl Planner<'_> {
+    fn steps(&self, order: &Order) -> Result<Vec<(StageIndex, Verdict)>, PlanError> {
+        let count = self.graph.stages.node_count();
+        let mut steps = Vec::with_capacity(count);
+        let mut done: Vec<Option<Arc<Outputs>>> = vec![None; count];
+        // For each stage that is not cached: the stages that will run and decide about it, itself where it will run.
+        let mut roots: Vec<Option<Arc<[StageIndex]>>> = vec![None; count];
+        for &index in &order.topological {
+            let verdict = self.verdict(index, &done, &roots)?;
+            match &verdict {
+                Verdict::Cached { outputs, .. } => done[index.index()] = Some(Arc::clone(outputs)),
+                Verdict::Run { .. } => roots[index.index()] = Some(Arc::from([index])),
+                Verdict::DependsOn { stages, .. } => roots[index.index()] = Some(Arc::clone(stages)),
+            }
+            steps.push((index, verdict));
+        }
+        Ok(steps)
+    }
+
+    fn verdict(
+        &self,
+        index: StageIndex,
+        done: &[Option<Arc<Outputs>>],
+        roots: &[Option<Arc<[StageIndex]>>],
+    ) -> Result<Verdict, PlanError> {
+        let stage = &self.graph.stages[index];
+        let key = key_of(stage, done, self.files)
+            .map_err(|source| PlanError::Params { stage: stage.id.as_ref().to_owned(), source })?;
+        let Some(key) = key else {
+            let feeding = order::feeding(self.graph, index).filter_map(|from| roots[from.index()].as_ref());
+            let why = why(self.graph, stage, done, self.files, self.store, self.history)?;
+            return Ok(Verdict::DependsOn { stages: union(feeding), why });
+        };
+        match look_up(self.store, self.history, stage, &key)? {
+            Cached::Yes(outputs) => Ok(Verdict::Cached { key, outputs }),
+            Cached::No(Some(reason)) => Ok(Verdict::Run { key, why: vec![reason] }),
+            Cached::No(None) => {
+                let mut why = why(self.graph, stage, done, self.files, self.store, self.history)?;
+                if why.is_empty() {
+                    why.push(Reason::New);
+                }
+                Ok(Verdict::Run { key, why })
+            }
+        }
+    }
+}
+
+/// What differs between a stage as it is now and its nearest earlier record, as far as its inputs are known; empty where
+/// nothing does.
+pub(crate) fn why(
+    graph: &Graph,
+    stage: &StageInstance,
+    done: &[Option<Arc<Outputs>>],
+    files: &BTreeMap<String, OutsideFile>,
+    store: &Store,
+    history: &History,
+) -> Result<Vec<Reason>, StoreError> {
+    Ok(match lookup::earlier_record(store, history, &stage.id)? {
+        Some(record) => explain::differences(graph, stage, &record, done, files),
+        None => vec![Reason::New],
+    })
+}
+
+/// All of these lists in one, sorted; shared where they are all the same, since large graphs have large lists.
+fn union<'a>(mut lists: impl Iterator<Item = &'a Arc<[StageIndex]>>) -> Arc<[StageIndex]> {
+    let Some(first) = lists.next() else { return Arc::from([]) };
+    let mut others = lists.filter(|list| !Arc::ptr_eq(list, first)).peekable();
+    if others.peek().is_none() {
+        return Arc::clone(first);
+    }
+    let mut all = first.to_vec();
+    let mut seen = first;
+    for list in others.filter(|list| !Arc::ptr_eq(list, std::mem::replace(&mut seen, list))) {
+        all.extend_from_slice(list);
+    }
+    all.sort_unstable();
+    all.dedup();
+    all.into()
+}
+
+fn outside_files(graph: &Graph, base: &Path) -> Result<BTreeMap<String, OutsideFile>, PlanError> {
+    let mut files = BTreeMap::new();
+    let mut missing = Vec::new();
+    let sources = graph.stages.node_weights().flat_map(|stage| &stage.inputs).flat_map(|wire| &wire.sources);
+    for source in sources {
+        let From::File { path: written, place } = &source.from else { continue };
+        if files.contains_key(written) {
+            continue;
+        }
+        let path = base.join(written);
+        match store::hash_file(&path) {
+            Ok((digest, _)) => {
+                files.insert(written.clone(), OutsideFile { path, digest });
+            }
+            Err(source) => missing.push(MissingFile { place: place.clone(), source }),
+        }
+    }
+    if missing.is_empty() { Ok(files) } else { Err(PlanError::Files(missing)) }
 }

@@ -3,7 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
 /// A text that is not 64 hexadecimal digits.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -13,8 +13,7 @@ pub struct NotHex(String);
 macro_rules! hex_name {
     ($(#[$doc:meta])* $name:ident) => {
         $(#[$doc])*
-        #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-        #[serde(into = "String", try_from = "String")]
+        #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
         pub struct $name([u8; 32]);
 
         impl $name {
@@ -54,24 +53,19 @@ macro_rules! hex_name {
         impl FromStr for $name {
             type Err = NotHex;
             fn from_str(text: &str) -> Result<Self, NotHex> {
-                let lower = text.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'));
-                match blake3::Hash::from_hex(text) {
-                    Ok(hash) if lower => Ok(Self(*hash.as_bytes())),
-                    _ => Err(NotHex(text.to_owned())),
-                }
+                parse(text).map(|hash| Self(*hash.as_bytes()))
             }
         }
 
-        impl TryFrom<String> for $name {
-            type Error = NotHex;
-            fn try_from(text: String) -> Result<Self, NotHex> {
-                text.parse()
+        impl Serialize for $name {
+            fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+                serializer.serialize_str(blake3::Hash::from_bytes(self.0).to_hex().as_str())
             }
         }
 
-        impl From<$name> for String {
-            fn from(name: $name) -> String {
-                name.hex()
+        impl<'de> Deserialize<'de> for $name {
+            fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+                deserializer.deserialize_str(HexVisitor).map(|hash| Self(*hash.as_bytes()))
             }
         }
     };
@@ -84,6 +78,29 @@ hex_name! {
 hex_name! {
     /// The name of a piece of work: blake3 over all that its result depends on (see [`crate::plan`]).
     Key
+}
+
+/// Stricter than blake3's own: one digest has one spelling, so that it also has one file name.
+fn parse(text: &str) -> Result<blake3::Hash, NotHex> {
+    let lower = !text.bytes().any(|byte| byte.is_ascii_uppercase());
+    match blake3::Hash::from_hex(text) {
+        Ok(hash) if lower => Ok(hash),
+        _ => Err(NotHex(text.to_owned())),
+    }
+}
+
+struct HexVisitor;
+
+impl de::Visitor<'_> for HexVisitor {
+    type Value = blake3::Hash;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("64 hexadecimal digits in lower case")
+    }
+
+    fn visit_str<E: de::Error>(self, text: &str) -> Result<blake3::Hash, E> {
+        parse(text).map_err(E::custom)
+    }
 }
 
 impl Digest {

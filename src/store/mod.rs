@@ -1,15 +1,21 @@
 //! The content-addressed store: blobs by the name of their content, records by the key of the work that made them.
 //! A record is written last, so a crash leaves garbage and never half a result. See `docs/design/store.md`.
 
+mod blob;
 mod digest;
+mod history;
 mod record;
+mod run;
 
 use std::path::{Path, PathBuf};
 
+pub use blob::{Blob, hash_file};
 pub use digest::{Digest, Key, NotHex};
+pub use history::History;
 pub use record::{Fingerprint, Outputs, RECORD_VERSION, Record, RecordInput, RecordItem, Stored};
+pub use run::Run;
 
-use crate::fsx::FsError;
+use crate::fsx::{self, Entry, FsError, Lock};
 
 /// Why the store cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -18,6 +24,31 @@ pub enum StoreError {
     /// A file of the store could not be read or written.
     #[error("{0}")]
     Fs(#[from] FsError),
+    /// Something that is no folder stands where the store should be.
+    #[error("the store `{}` is not a folder", .0.display())]
+    NotAFolder(PathBuf),
+    /// The current folder, to which the store's path is relative, is not there any more.
+    #[error("cannot tell where the store `{path}` is: {source}", path = path.display())]
+    NoWorkingFolder {
+        /// The path as given.
+        path: PathBuf,
+        /// The system's answer.
+        source: std::io::Error,
+    },
+    /// A file from outside is not what it was when the run was planned.
+    #[error("`{}` was changed after the run was planned; run again", .0.display())]
+    Changed(PathBuf),
+}
+
+/// What the store has under a key.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Found {
+    /// The record.
+    Record(Box<Record>),
+    /// Nothing.
+    Nothing,
+    /// Something that is no record; the text says why not.
+    Damaged(String),
 }
 
 /// A store in a folder. Any number of processes may use one at the same time.
@@ -27,12 +58,18 @@ pub struct Store {
 }
 
 impl Store {
-    /// Opens the store in `root`, making the folder where there is none.
+    /// The store in `root`. Writes nothing: the folder is made when something is stored.
     ///
     /// # Errors
-    /// The folder cannot be made or is not a folder.
+    /// There is something that is no folder.
     pub fn open(root: &Path) -> Result<Store, StoreError> {
-        Ok(Self { root: root.to_owned() })
+        let absolute = std::path::absolute(root)
+            .map_err(|source| StoreError::NoWorkingFolder { path: root.to_owned(), source })?;
+        // A link to a folder is as good as a folder; anything else that is there is not.
+        match fsx::entry(&absolute)? {
+            Some(Entry::File(_)) => Err(StoreError::NotAFolder(absolute)),
+            _ => Ok(Self { root: absolute }),
+        }
     }
 
     /// Its folder, absolute.
@@ -40,18 +77,133 @@ impl Store {
         &self.root
     }
 
-    /// The record of a key; `None` where that work was never finished here.
+    /// The record of a key; `None` where there is none that can be read (see [`Store::find`]).
     ///
     /// # Errors
     /// The store cannot be read.
     pub fn record(&self, key: &Key) -> Result<Option<Record>, StoreError> {
-        let _ = key;
+        match self.find(key)? {
+            Found::Record(record) => Ok(Some(*record)),
+            Found::Nothing | Found::Damaged(_) => Ok(None),
+        }
+    }
+
+    /// What is there under a key.
+    ///
+    /// # Errors
+    /// The store cannot be read.
+    pub fn find(&self, key: &Key) -> Result<Found, StoreError> {
+        let Some(bytes) = fsx::read_if_there(&self.record_path(key))? else { return Ok(Found::Nothing) };
+        Ok(match serde_json::from_slice::<Record>(&bytes) {
+            Ok(record) if record.version == RECORD_VERSION => Found::Record(Box::new(record)),
+            Ok(record) => {
+                Found::Damaged(format!("it has version {}, expected {RECORD_VERSION}", record.version))
+            }
+            Err(error) => Found::Damaged(error.to_string()),
+        })
+    }
+
+    /// True where a file stands for the record of a key. Cheaper than reading it.
+    ///
+    /// # Errors
+    /// The store cannot be read.
+    pub fn has_record(&self, key: &Key) -> Result<bool, StoreError> {
+        Ok(matches!(fsx::entry(&self.record_path(key))?, Some(Entry::File(_))))
+    }
+
+    /// The first output whose file is not there in its full length.
+    ///
+    /// # Errors
+    /// The store cannot be read.
+    pub fn lost<'o>(&self, outputs: &'o Outputs) -> Result<Option<&'o str>, StoreError> {
+        for (name, stored) in outputs {
+            if fsx::entry(&self.blob_path(&stored.digest))? != Some(Entry::File(stored.bytes)) {
+                return Ok(Some(name));
+            }
+        }
         Ok(None)
     }
 
     /// The file of a content (read-only); it may not be there.
     pub fn blob_path(&self, digest: &Digest) -> PathBuf {
-        let hex = digest.hex();
-        self.root.join("blobs-v1").join(&hex[..2]).join(&hex[2..])
+        self.sharded("blobs-v1", &digest.hex(), "")
+    }
+
+    /// The file of a key's record; it may not be there.
+    pub fn record_path(&self, key: &Key) -> PathBuf {
+        self.sharded("records-v1", &key.hex(), ".json")
+    }
+
+    /// The folder of a key's checkpoints; it may not be there.
+    pub fn checkpoints(&self, key: &Key) -> PathBuf {
+        self.root.join("checkpoints-v1").join(key.hex())
+    }
+
+    /// Removes a key's checkpoints.
+    ///
+    /// # Errors
+    /// They are there and cannot be removed.
+    pub fn clear_checkpoints(&self, key: &Key) -> Result<(), StoreError> {
+        Ok(fsx::remove_dir_all(&self.checkpoints(key))?)
+    }
+
+    /// Takes the lock on a key, the right to make its record; `None` while somebody else holds it. Needs a [`Run`],
+    /// which makes the folder.
+    ///
+    /// # Errors
+    /// The store cannot be written, or its file system knows no locks.
+    pub fn try_lock(&self, key: &Key) -> Result<Option<Lock>, StoreError> {
+        Ok(Lock::try_acquire(&self.root.join("locks-v1").join(key.hex()))?)
+    }
+
+    /// Makes a stage's result the key's: first its blobs become durable, then the record is written. `folder` is private
+    /// to the caller and in this store.
+    ///
+    /// # Errors
+    /// The store cannot be written; there is then no record.
+    pub fn commit(
+        &self,
+        key: &Key,
+        record: &Record,
+        blobs: &[Blob],
+        folder: &Path,
+    ) -> Result<(), StoreError> {
+        for blob in blobs {
+            blob.sync()?;
+        }
+        let draft = folder.join("record.json");
+        let path = self.record_path(key);
+        fsx::write_synced(&draft, &serde_json::to_vec(record).map_err(in_memory(&draft))?)?;
+        Ok(place(&draft, &path)?)
+    }
+
+    /// `name` in a subfolder named after its first two letters, so that no folder grows too long.
+    fn sharded(&self, folder: &str, name: &str, ending: &str) -> PathBuf {
+        let (shard, rest) = name.split_at(2);
+        let mut path = String::with_capacity(folder.len() + name.len() + ending.len() + 2);
+        path.extend([folder, "/", shard, "/", rest, ending]);
+        self.root.join(path)
     }
 }
+
+/// Moves a file to its place for good: the name is durable too.
+fn place(from: &Path, to: &Path) -> fsx::Result<()> {
+    let made = fsx::rename_into(from, to)?;
+    if let Some(folder) = to.parent() {
+        fsx::sync_dir(folder)?;
+        if let Some(above) = folder.parent().filter(|_| made) {
+            fsx::sync_dir(above)?;
+        }
+    }
+    Ok(())
+}
+
+/// Serialising to memory fails only where a number is not finite; the message still names the file that was meant.
+fn in_memory(path: &Path) -> impl FnOnce(serde_json::Error) -> FsError {
+    let path = path.to_owned();
+    move |error| FsError { action: "write", path, source: error.into() }
+}
+
+#[cfg(test)]
+#[path = "store_tests.rs"]
+mod tests;

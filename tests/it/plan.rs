@@ -1,1 +1,182 @@
-//! What would run, and why.
+//! What a plan says would run, and why.
+
+use dril_pipe::plan::{self, PlanError};
+use serde_json::json;
+
+use crate::lab::Lab;
+use crate::scenario::{self, StageLine};
+
+/// Two texts, each counted from, and both joined.
+fn pipeline() -> Vec<StageLine> {
+    vec![
+        StageLine::new("north", "emit", json!({"text": "n"})),
+        StageLine::new("south", "emit", json!({"text": "s"})),
+        StageLine::new("count", "count", json!({"to": 2})).reads("start", &["north"]),
+        StageLine::new("join", "concat", json!({})).reads("parts", &["count", "south"]),
+    ]
+}
+
+#[test]
+fn in_an_empty_store_everything_is_new_and_nothing_is_written() {
+    let lab = Lab::new();
+    assert_eq!(
+        lab.verdicts(&pipeline()),
+        ["north: run [new]", "south: run [new]", "count: after north [new]", "join: after north south [new]"]
+    );
+    assert!(!lab.store.root().exists());
+}
+
+#[test]
+fn after_a_run_everything_is_cached() {
+    let lab = Lab::new();
+    lab.run(&pipeline());
+    assert_eq!(
+        lab.verdicts(&pipeline()),
+        ["north: cached", "south: cached", "count: cached", "join: cached"]
+    );
+}
+
+#[test]
+fn a_changed_parameter_is_named_with_its_old_and_new_value() {
+    let lab = Lab::new();
+    lab.run(&pipeline());
+    let mut stages = pipeline();
+    stages[2].with = json!({"to": 5, "mishap": "no-output"});
+    assert_eq!(
+        lab.verdicts(&stages),
+        [
+            "north: cached",
+            "south: cached",
+            r#"count: run [mishap: "none" -> "no-output", to: 2 -> 5]"#,
+            "join: after count []"
+        ]
+    );
+}
+
+#[test]
+fn a_parameter_that_came_or_went_is_named_with_one_value() {
+    let lab = Lab::new();
+    let stage = |keep| {
+        vec![
+            StageLine::new("a", "emit", json!({"text": "x"})),
+            StageLine::new("b", "concat", json!({"keep": keep})).reads("parts", &["a"]),
+        ]
+    };
+    lab.run(&stage(json!(null)));
+    assert_eq!(lab.verdicts(&stage(json!(3)))[1], "b: run [keep: null -> 3]");
+}
+
+#[test]
+fn a_changed_seed_is_named() {
+    let lab = Lab::new();
+    lab.run(&pipeline());
+    let mut stages = pipeline();
+    stages[2].seed = 9;
+    assert_eq!(lab.verdicts(&stages)[2], "count: run [seed Some(1) -> Some(9)]");
+    stages[0].seed = 9;
+    assert_eq!(lab.verdicts(&stages)[0], "north: cached", "an unseeded kind has no seed in its key");
+}
+
+#[test]
+fn another_kind_under_the_same_name_is_named() {
+    let lab = Lab::new();
+    lab.run(&pipeline());
+    let mut stages = pipeline();
+    stages[1] = StageLine::new("south", "count", json!({}));
+    assert_eq!(lab.verdicts(&stages)[1], "south: run [kind emit -> count]");
+}
+
+#[test]
+fn a_rewired_input_is_named_with_where_it_comes_from_now() {
+    let lab = Lab::new();
+    lab.run(&pipeline());
+    let mut stages = pipeline();
+    stages[2].inputs.clear();
+    stages[2] = stages[2].clone().reads("start", &["south"]);
+    assert_eq!(lab.verdicts(&stages)[2], "count: run [start from south.text]");
+    stages[2].inputs.clear();
+    assert_eq!(lab.verdicts(&stages)[2], "count: run [start from north.text]", "what went is named too");
+}
+
+#[test]
+fn one_more_artifact_in_a_fan_in_is_named_alone() {
+    let lab = Lab::new();
+    let stages = |count: usize| {
+        let names: Vec<String> = (0..count).map(|number| format!("e{number}")).collect();
+        let mut stages: Vec<StageLine> =
+            names.iter().map(|name| StageLine::new(name, "emit", json!({"text": name}))).collect();
+        // The new one comes first, so that every other one has another position.
+        let parts: Vec<&str> = names.iter().rev().map(String::as_str).collect();
+        stages.push(StageLine::new("join", "concat", json!({})).reads("parts", &parts));
+        stages
+    };
+    lab.run(&stages(3));
+    let mut later = stages(4);
+    lab.run(&later[3..4]);
+    assert_eq!(lab.verdicts(&later)[4], "join: run [parts from e3.text]");
+    later[4].inputs.clear();
+    later[4] = later[4].clone().reads("parts", &["e0", "e1", "e2"]);
+    assert_eq!(lab.verdicts(&later)[4], "join: run [parts from the order or number of its 3 artifacts]");
+}
+
+#[test]
+fn a_changed_file_from_outside_is_named() {
+    let lab = Lab::new();
+    lab.file("data.txt", "one");
+    let stages = [StageLine::new("join", "concat", json!({})).reads_file("parts", "data.txt")];
+    lab.run(&stages);
+    assert_eq!(lab.verdicts(&stages), ["join: cached"]);
+    lab.file("data.txt", "two");
+    assert_eq!(lab.verdicts(&stages), ["join: run [parts from file data.txt]"]);
+    lab.file("data.txt", "one");
+    assert_eq!(lab.verdicts(&stages), ["join: cached"]);
+}
+
+#[test]
+fn files_that_are_missing_or_no_files_are_all_told_with_their_place() {
+    let lab = Lab::new();
+    std::fs::create_dir(lab.folder.path().join("folder")).unwrap();
+    let stages = [StageLine::new("join", "concat", json!({}))
+        .reads_file("parts", "missing.txt")
+        .reads_file("parts", "folder")];
+    let graph = scenario::graph(&stages);
+    let error = plan::plan(&graph, &lab.store, lab.folder.path()).unwrap_err();
+    assert!(matches!(&error, PlanError::Files(files) if files.len() == 2));
+    let text = error.to_string();
+    assert!(text.starts_with("scenario:1:1: cannot open `"), "{text}");
+    assert!(text.contains("missing.txt") && text.ends_with("it is a folder, expected a file"), "{text}");
+}
+
+#[test]
+fn explanations_compare_with_the_latest_run_not_the_first() {
+    let lab = Lab::new();
+    let stages = |to: u64| [StageLine::new("a", "count", json!({"to": to}))];
+    for to in [1, 2, 1] {
+        lab.run(&stages(to));
+    }
+    assert_eq!(lab.verdicts(&stages(3)), ["a: run [to: 1 -> 3]"]);
+}
+
+#[test]
+fn a_stage_behind_several_that_run_names_each_of_them_once() {
+    let lab = Lab::new();
+    let mut stages = vec![];
+    for name in ["a", "b"] {
+        stages.push(StageLine::new(name, "emit", json!({"text": name})));
+    }
+    for name in ["c", "d"] {
+        stages.push(StageLine::new(name, "concat", json!({"separator": name})).reads("parts", &["a", "b"]));
+    }
+    stages.push(StageLine::new("e", "concat", json!({})).reads("parts", &["d", "c", "a"]));
+    assert_eq!(lab.verdicts(&stages)[4], "e: after a b [new]");
+}
+
+#[test]
+fn what_is_known_to_differ_is_told_before_the_inputs_are() {
+    let lab = Lab::new();
+    lab.run(&pipeline());
+    let mut stages = pipeline();
+    stages[0].with = json!({"text": "other"});
+    stages[2].with = json!({"to": 7});
+    assert_eq!(lab.verdicts(&stages)[2], "count: after north [to: 2 -> 7]");
+}

@@ -1,0 +1,259 @@
+//! Runs a job in a child process: a group of its own, which goes with the engine and leaves nothing behind.
+
+use std::ffi::OsString;
+use std::io;
+use std::os::fd::AsFd;
+use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::path::PathBuf;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use dril_stage_api::Message;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
+
+use super::listen::Listener;
+use super::runner::{Exit, Launch, Runner};
+use super::stage::EXIT_STOPPED;
+use crate::fsx::{self, Entry, File};
+
+/// How soon a wish to stop is noticed.
+const GLANCE: Duration = Duration::from_millis(100);
+
+/// What caps the threads of libraries that stages use. Results do not depend on it; the neighbours' speed does.
+const THREAD_LIMITS: [&str; 5] = [
+    "OMP_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "RAYON_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+];
+
+/// Runs a job in a child process of its own group: `dril-pipe __stage JOB`, or a worker beside it in the same way.
+#[derive(Clone, Debug)]
+pub struct ChildRunner {
+    /// The program for the kinds that have no worker; workers are looked for in its folder.
+    pub program: PathBuf,
+    /// Arguments before the job file.
+    pub args: Vec<OsString>,
+}
+
+impl ChildRunner {
+    /// This program and the workers beside it, as `__stage JOB`.
+    ///
+    /// # Errors
+    /// The system does not say which file this program is.
+    pub fn this_program() -> io::Result<Self> {
+        Ok(Self { program: std::env::current_exe()?, args: vec!["__stage".into()] })
+    }
+
+    fn program(&self, worker: Option<&str>) -> PathBuf {
+        match worker {
+            None => self.program.clone(),
+            Some(worker) => self.program.with_file_name(format!("{worker}{}", std::env::consts::EXE_SUFFIX)),
+        }
+    }
+
+    fn spawn(&self, launch: &Launch<'_>, log: &File) -> io::Result<Child> {
+        let threads = launch.threads.max(1).to_string();
+        Command::new(self.program(launch.worker))
+            .args(&self.args)
+            .arg(launch.job)
+            .envs(THREAD_LIMITS.map(|name| (name, &threads)))
+            .current_dir(launch.folder)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(log.try_clone()?)
+            .process_group(0)
+            .spawn()
+    }
+}
+
+impl Runner for ChildRunner {
+    fn check(&self, worker: Option<&'static str>) -> Result<(), String> {
+        let program = self.program(worker);
+        match fsx::entry(&program) {
+            Ok(Some(Entry::File(_) | Entry::Other)) => Ok(()),
+            Ok(_) => Err(format!("the executable `{}` is not there, which runs them", program.display())),
+            Err(error) => Err(error.to_string()),
+        }
+    }
+
+    fn run(&self, launch: &Launch<'_>, hear: &mut dyn FnMut(Message)) -> io::Result<Exit> {
+        let log = fsx::open_append(launch.log).map_err(io::Error::other)?;
+        let child = self.spawn(launch, &log).map_err(|error| {
+            let program = self.program(launch.worker);
+            io::Error::new(error.kind(), format!("cannot start `{}`: {error}", program.display()))
+        })?;
+        let mut watched = Watched::new(child, Listener::new(log), launch)?;
+        let status = watched.watch(hear)?;
+        Ok(exit(status, watched.asked.is_some(), watched.listener.failure()))
+    }
+}
+
+/// A child that runs. Dropped early, it is killed with all it started.
+struct Watched<'a> {
+    child: Child,
+    group: Pid,
+    /// Ready once the child has ended; `None` where the system has no such thing.
+    ended: Option<rustix::fd::OwnedFd>,
+    listener: Listener,
+    launch: &'a Launch<'a>,
+    asked: Option<Instant>,
+    reaped: bool,
+}
+
+impl<'a> Watched<'a> {
+    fn new(child: Child, listener: Listener, launch: &'a Launch<'a>) -> io::Result<Self> {
+        let group = i32::try_from(child.id()).ok().and_then(Pid::from_raw);
+        let group = group.ok_or_else(|| io::Error::other("the system gave no process number"))?;
+        Ok(Self { child, group, ended: pidfd(group), listener, launch, asked: None, reaped: false })
+    }
+
+    fn watch(&mut self, hear: &mut dyn FnMut(Message)) -> io::Result<ExitStatus> {
+        let mut open = true;
+        while !self.has_ended()? {
+            self.stop_if_wished();
+            if self.wait_for_news(open)? {
+                open = self.listener.read(self.child.stdout.as_mut(), hear)?;
+            }
+        }
+        // The child is dead but not yet reaped, so its number still names its group, and nobody else's.
+        self.kill(Signal::KILL);
+        while open && self.ready(Duration::ZERO, true)? {
+            open = self.listener.read(self.child.stdout.as_mut(), hear)?;
+        }
+        self.listener.finish(hear)?;
+        self.reaped = true;
+        self.child.wait()
+    }
+
+    fn has_ended(&self) -> io::Result<bool> {
+        let options = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
+        Ok(waitid(WaitId::Pid(self.group), options)?.is_some())
+    }
+
+    /// Asks the stage to stop, and kills it once it has had its time.
+    fn stop_if_wished(&mut self) {
+        match self.asked {
+            None if self.launch.stop.load(Ordering::Relaxed) => {
+                self.asked = Some(Instant::now());
+                self.kill(Signal::TERM);
+            }
+            Some(asked) if asked.elapsed() >= self.launch.grace => self.kill(Signal::KILL),
+            _ => {}
+        }
+    }
+
+    /// Waits until the child says something or ends, but not for long. True where there is something to read.
+    fn wait_for_news(&self, open: bool) -> io::Result<bool> {
+        // Without a notice of the end, a child that closed its output has to be looked after.
+        let blind = self.ended.is_none() && !open;
+        self.ready(if blind { Duration::from_millis(1) } else { GLANCE }, open)
+    }
+
+    fn ready(&self, timeout: Duration, open: bool) -> io::Result<bool> {
+        let stdout = self.child.stdout.as_ref().filter(|_| open).map(AsFd::as_fd);
+        let ended = self.ended.as_ref().map(AsFd::as_fd);
+        let fds = stdout.into_iter().chain(ended);
+        let mut fds: Vec<PollFd<'_>> = fds.map(|fd| PollFd::from_borrowed_fd(fd, PollFlags::IN)).collect();
+        let timeout = Timespec::try_from(timeout).map_err(io::Error::other)?;
+        match poll(&mut fds, Some(&timeout)) {
+            Ok(_) => Ok(open && fds.first().is_some_and(|fd| !fd.revents().is_empty())),
+            Err(rustix::io::Errno::INTR) => Ok(false),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    fn kill(&self, signal: Signal) {
+        // A group that is gone already is what was wanted.
+        let _ = kill_process_group(self.group, signal);
+    }
+}
+
+impl Drop for Watched<'_> {
+    fn drop(&mut self) {
+        if !self.reaped {
+            self.kill(Signal::KILL);
+            let _ = self.child.wait();
+        }
+    }
+}
+
+#[cfg(target_os = "linux")]
+fn pidfd(process: Pid) -> Option<rustix::fd::OwnedFd> {
+    rustix::process::pidfd_open(process, rustix::process::PidfdFlags::empty()).ok()
+}
+
+#[cfg(not(target_os = "linux"))]
+fn pidfd(_: Pid) -> Option<rustix::fd::OwnedFd> {
+    None
+}
+
+/// How it ended, in words.
+fn exit(status: ExitStatus, asked: bool, failure: Option<String>) -> Exit {
+    match (status.code(), status.signal()) {
+        (Some(0), _) => Exit::Done,
+        (Some(code), _) if asked && code == i32::from(EXIT_STOPPED) => Exit::Stopped,
+        (None, Some(_)) if asked => Exit::Stopped,
+        (Some(code), _) if code == i32::from(EXIT_STOPPED) => {
+            Exit::Failed("it was asked to stop, but not by this run".to_owned())
+        }
+        (_, Some(signal)) => Exit::Failed(format!("it was killed by {}", signal_name(signal))),
+        (Some(101), _) if failure.is_none() => Exit::Failed("it panicked; the log says where".to_owned()),
+        (Some(code), _) => Exit::Failed(
+            failure.unwrap_or_else(|| format!("it ended with exit code {code} without saying why")),
+        ),
+        (None, None) => Exit::Failed(format!("it ended with {status}")),
+    }
+}
+
+fn signal_name(signal: i32) -> String {
+    let name = match signal {
+        1 => "SIGHUP",
+        2 => "SIGINT",
+        3 => "SIGQUIT",
+        4 => "SIGILL (an instruction that this processor does not have)",
+        6 => "SIGABRT (it gave itself up; the log says why)",
+        7 => "SIGBUS",
+        8 => "SIGFPE",
+        9 => "SIGKILL (by somebody, or by the system because memory ran out)",
+        11 => "SIGSEGV (a wrong access to memory)",
+        15 => "SIGTERM",
+        24 => "SIGXCPU (its limit of processor time)",
+        25 => "SIGXFSZ (its limit of file size)",
+        _ => return format!("signal {signal}"),
+    };
+    name.to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    #[test]
+    fn an_end_is_told_in_words() {
+        let status = ExitStatus::from_raw;
+        let failed = |text: &str| Exit::Failed(text.to_owned());
+        assert_eq!(exit(status(0), false, None), Exit::Done);
+        assert_eq!(exit(status(0), true, None), Exit::Done);
+        assert_eq!(exit(status(75 << 8), true, None), Exit::Stopped);
+        assert_eq!(exit(status(9), true, None), Exit::Stopped);
+        assert_eq!(exit(status(1 << 8), true, Some("no".into())), failed("no"));
+        assert_eq!(exit(status(7 << 8), false, None), failed("it ended with exit code 7 without saying why"));
+        let Exit::Failed(text) = exit(status(9), false, None) else { panic!() };
+        assert!(text.contains("SIGKILL") && text.contains("memory"), "{text}");
+        assert!(matches!(exit(status(75 << 8), false, None), Exit::Failed(_)));
+    }
+
+    #[test]
+    fn a_worker_is_looked_for_beside_the_program() {
+        let runner = ChildRunner { program: Path::new("/opt/bin/dril-pipe").into(), args: Vec::new() };
+        assert_eq!(runner.program(Some("dril-pipe-learn")), Path::new("/opt/bin/dril-pipe-learn"));
+        let error = runner.check(Some("dril-pipe-learn")).unwrap_err();
+        assert!(error.contains("`/opt/bin/dril-pipe-learn` is not there"), "{error}");
+    }
+}

@@ -1,0 +1,488 @@
+//! The dispatcher: the one owner of a run's state. It decides what starts when, and tells; workers work, printers listen.
+
+use std::collections::{BTreeMap, HashMap};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::time::{Duration, Instant};
+
+use serde_json::json;
+
+use super::journal::Journal;
+use super::ready::{Elsewhere, Ready};
+use super::work::{Failure, News, Site, Task};
+use super::{Event, Executed, Outcome};
+use crate::plan::{self, Cached, Order, OutsideFile, Reason, Verdict};
+use crate::resolve::{Graph, StageIndex};
+use crate::store::{Fingerprint, History, Key, Outputs, Run, StoreError};
+
+/// How soon a wish to stop is noticed.
+const GLANCE: Duration = Duration::from_millis(50);
+
+/// Results that may be on their way to the disk at the same time; a slow disk slows the run down here.
+const COMMITS: usize = 32;
+
+/// How many of a failed stage's last lines are told.
+const TAIL: usize = 20;
+
+/// What the run is about.
+#[derive(Clone, Copy)]
+pub(super) struct Shape<'a> {
+    pub graph: &'a Graph,
+    pub files: &'a BTreeMap<String, OutsideFile>,
+    pub order: &'a Order,
+}
+
+/// Where a stage stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum State {
+    /// Stages that feed it are not done, or it waits for its turn.
+    Pending,
+    /// A stage with the same key runs here.
+    Twin,
+    Running,
+    Done,
+    /// Failed, skipped or stopped: counted and told.
+    Over,
+}
+
+/// Starts a worker for a task.
+pub(super) type Start<'s, 'a> = dyn FnMut(Task<'a>) + 's;
+
+/// The state of a run.
+pub(super) struct Dispatcher<'a, 's> {
+    shape: Shape<'a>,
+    site: Site<'a>,
+    sink: &'s mut dyn FnMut(&Event),
+    began: Instant,
+    history: History,
+    run: Option<Arc<Run>>,
+    journal: Journal,
+    state: Vec<State>,
+    keys: Vec<Option<Key>>,
+    why: Vec<Option<Vec<Reason>>>,
+    done: Vec<Option<Arc<Outputs>>>,
+    /// How many stages that feed it are not done.
+    left: Vec<u32>,
+    costs: Vec<f64>,
+    ready: Ready,
+    elsewhere: Elsewhere,
+    /// Keys that are being built here, with the other stages that have the same key.
+    twins: HashMap<Key, Vec<StageIndex>>,
+    threads_used: usize,
+    running: usize,
+    committing: usize,
+    stopping: bool,
+    /// The failure after which nothing is started any more.
+    halted: Option<StageIndex>,
+    outcome: Outcome,
+}
+
+impl<'a, 's> Dispatcher<'a, 's> {
+    pub fn new(
+        shape: Shape<'a>,
+        history: History,
+        site: Site<'a>,
+        began: Instant,
+        sink: &'s mut dyn FnMut(&Event),
+    ) -> Self {
+        let count = shape.graph.stages.node_count();
+        Self {
+            shape,
+            site,
+            sink,
+            began,
+            history,
+            run: None,
+            journal: Journal::new(began),
+            state: vec![State::Pending; count],
+            keys: vec![None; count],
+            why: vec![None; count],
+            done: vec![None; count],
+            left: shape.order.feeders.clone(),
+            costs: Vec::new(),
+            ready: Ready::default(),
+            elsewhere: Elsewhere::default(),
+            twins: HashMap::new(),
+            threads_used: 0,
+            running: 0,
+            committing: 0,
+            stopping: false,
+            halted: None,
+            outcome: Outcome::default(),
+        }
+    }
+
+    /// Runs to the end: until nothing runs and nothing more can start.
+    pub fn run(
+        &mut self,
+        steps: Vec<(StageIndex, Verdict)>,
+        news: &Receiver<News>,
+        stop: &AtomicBool,
+        start: &mut Start<'_, 'a>,
+    ) -> Result<(), StoreError> {
+        let threads = self.budget();
+        self.tell(&Event::Started { stages: steps.len(), threads });
+        self.take_over(steps)?;
+        loop {
+            self.look_at_stop(stop);
+            for stage in self.elsewhere.due(Instant::now()) {
+                self.ready.push(stage, self.costs[stage.index()]);
+            }
+            self.start_ready(start)?;
+            let waits = !self.elsewhere.is_empty() && !self.stopping && self.halted.is_none();
+            if self.running == 0 && self.committing == 0 && !waits {
+                return Ok(());
+            }
+            self.write_journal(false)?;
+            match news.recv_timeout(self.patience()) {
+                Ok(first) => {
+                    for item in std::iter::once(first).chain(news.try_iter()) {
+                        self.hear(item)?;
+                    }
+                }
+                Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {}
+            }
+        }
+    }
+
+    /// Counts what never started, writes what is left to write, and gives the result.
+    pub fn finish(mut self) -> Result<Executed, StoreError> {
+        for index in 0..self.state.len() {
+            let stage = StageIndex::new(index);
+            match (self.state[index], self.halted) {
+                (State::Pending | State::Twin, Some(because)) if !self.stopping => self.skip(stage, because),
+                (State::Pending | State::Twin, _) => self.outcome.stopped += 1,
+                _ => {}
+            }
+        }
+        self.outcome.took = self.began.elapsed();
+        self.tell(&Event::Finished { outcome: self.outcome.clone() });
+        self.write_journal(true)?;
+        if self.outcome.is_complete() {
+            self.history.compact()?
+        } else {
+            self.history.flush()?
+        }
+        let folder = self.run.as_ref().map(|run| run.folder().to_owned());
+        Ok(Executed { outcome: self.outcome, outputs: self.done, folder })
+    }
+
+    /// Takes the plan's verdicts over. What is cached is done at once; the rest becomes ready in turn.
+    fn take_over(&mut self, steps: Vec<(StageIndex, Verdict)>) -> Result<(), StoreError> {
+        let mut first = Vec::new();
+        for (stage, verdict) in steps {
+            match verdict {
+                Verdict::Cached { key, outputs } => {
+                    self.cached(stage, key, outputs)?;
+                    for reader in self.shape.order.readers(stage) {
+                        self.left[reader.index()] -= 1;
+                    }
+                }
+                Verdict::Run { key, why } => first.push((stage, key, why)),
+                Verdict::DependsOn { .. } => {}
+            }
+        }
+        if self.outcome.cached < self.state.len() {
+            self.costs = self.shape.order.costs_to_the_end(self.shape.graph);
+        }
+        for (stage, key, why) in first {
+            self.why[stage.index()] = Some(why);
+            self.make_ready(stage, key);
+        }
+        Ok(())
+    }
+
+    fn look_at_stop(&mut self, stop: &AtomicBool) {
+        if !self.stopping && stop.load(Ordering::Relaxed) {
+            self.stopping = true;
+            self.site.halt.store(true, Ordering::Relaxed);
+            self.tell(&Event::Stopping);
+        }
+    }
+
+    fn start_ready(&mut self, start: &mut Start<'_, 'a>) -> Result<(), StoreError> {
+        while !self.stopping && self.halted.is_none() && self.committing < COMMITS {
+            let Some(stage) = self.ready.peek() else { break };
+            // In order, without overtaking: a small stage that slips in keeps a big one from ever starting.
+            if self.running > 0 && self.threads_used + self.threads(stage) > self.budget() {
+                break;
+            }
+            self.ready.pop();
+            self.start(stage, start)?;
+        }
+        Ok(())
+    }
+
+    /// Starts a stage, unless it was made in the meantime, or is being made here or elsewhere.
+    fn start(&mut self, stage: StageIndex, start: &mut Start<'_, 'a>) -> Result<(), StoreError> {
+        let Some(key) = self.keys[stage.index()] else { return Ok(()) };
+        if let Some(twins) = self.twins.get_mut(&key) {
+            twins.push(stage);
+            self.state[stage.index()] = State::Twin;
+            return Ok(());
+        }
+        let run = self.open_run()?;
+        let Some(lock) = self.site.store.try_lock(&key)? else {
+            if self.elsewhere.note(stage, Instant::now()) {
+                self.tell(&Event::Waiting { stage });
+            }
+            return Ok(());
+        };
+        self.elsewhere.remove(stage);
+        // Under the lock nobody else makes it, but somebody may have, since the plan was made.
+        if let Cached::Yes(outputs) = self.look_up(stage, &key)? {
+            lock.remove()?;
+            return self.settle(stage, key, outputs);
+        }
+        let why = self.take_why(stage)?;
+        self.twins.insert(key, Vec::new());
+        self.state[stage.index()] = State::Running;
+        self.running += 1;
+        self.threads_used += self.threads(stage);
+        self.tell(&Event::StageStarted { stage, key, why });
+        start(Task::new(stage, key, lock, run, self.shape, &self.done, self.site));
+        Ok(())
+    }
+
+    fn hear(&mut self, news: News) -> Result<(), StoreError> {
+        match news {
+            News::Said(stage, dril_stage_api::Message::Progress(progress)) => {
+                self.tell(&Event::Progressed { stage, progress });
+                Ok(())
+            }
+            News::Said(..) => Ok(()),
+            News::Built(stage, built) => {
+                self.running -= 1;
+                self.threads_used -= self.threads(stage);
+                let key = self.keys[stage.index()];
+                let twins = key.and_then(|key| self.twins.remove(&key)).unwrap_or_default();
+                match (built, key) {
+                    (Ok(outputs), Some(key)) => self.built(stage, key, outputs, &twins),
+                    (Ok(_), None) => Ok(()),
+                    (Err(failure), _) => {
+                        self.not_built(stage, failure, &twins);
+                        Ok(())
+                    }
+                }
+            }
+            News::Committed(stage, committed) => self.committed(stage, committed),
+        }
+    }
+
+    fn built(
+        &mut self,
+        stage: StageIndex,
+        key: Key,
+        outputs: Arc<Outputs>,
+        twins: &[StageIndex],
+    ) -> Result<(), StoreError> {
+        self.committing += 1;
+        self.state[stage.index()] = State::Done;
+        self.done[stage.index()] = Some(Arc::clone(&outputs));
+        self.wake_readers(stage)?;
+        for &twin in twins {
+            self.settle(twin, key, Arc::clone(&outputs))?;
+        }
+        Ok(())
+    }
+
+    fn not_built(&mut self, stage: StageIndex, failure: Failure, twins: &[StageIndex]) {
+        match failure {
+            Failure::Stopped => {
+                self.state[stage.index()] = State::Over;
+                self.outcome.stopped += 1;
+                self.tell(&Event::Stopped { stage });
+            }
+            Failure::Failed(error) => {
+                self.failed(stage, error);
+                self.skip_readers(stage, stage);
+                for &twin in twins {
+                    self.skip(twin, stage);
+                    self.skip_readers(twin, stage);
+                }
+            }
+        }
+    }
+
+    fn committed(
+        &mut self,
+        stage: StageIndex,
+        committed: Result<Duration, String>,
+    ) -> Result<(), StoreError> {
+        self.committing -= 1;
+        match committed {
+            Ok(took) => {
+                self.outcome.ran += 1;
+                self.tell(&Event::StageFinished { stage, took });
+                self.note(stage)
+            }
+            // Its outputs can be used, so what depends on it goes on; but it has no record.
+            Err(error) => {
+                self.failed(stage, error);
+                Ok(())
+            }
+        }
+    }
+
+    fn failed(&mut self, stage: StageIndex, error: String) {
+        self.state[stage.index()] = State::Over;
+        self.outcome.failed += 1;
+        if !self.site.options.keep_going {
+            self.halted.get_or_insert(stage);
+        }
+        let log = self.run.as_ref().map(|run| run.log(&self.log_stem(stage))).unwrap_or_default();
+        let log_tail = crate::fsx::tail(&log, TAIL).unwrap_or_default();
+        self.tell(&Event::StageFailed { stage, error, log_tail, log });
+    }
+
+    /// Skips all that can not run because `because` failed.
+    fn skip_readers(&mut self, stage: StageIndex, because: StageIndex) {
+        let mut behind = vec![stage];
+        while let Some(stage) = behind.pop() {
+            for &reader in self.shape.order.readers(stage) {
+                if self.state[reader.index()] == State::Pending {
+                    self.skip(reader, because);
+                    behind.push(reader);
+                }
+            }
+        }
+    }
+
+    fn skip(&mut self, stage: StageIndex, because: StageIndex) {
+        self.state[stage.index()] = State::Over;
+        self.outcome.skipped += 1;
+        self.tell(&Event::Skipped { stage, because });
+    }
+
+    /// A stage whose outputs are there: done without running, and so may be those behind it.
+    fn settle(&mut self, stage: StageIndex, key: Key, outputs: Arc<Outputs>) -> Result<(), StoreError> {
+        self.cached(stage, key, outputs)?;
+        self.wake_readers(stage)
+    }
+
+    fn cached(&mut self, stage: StageIndex, key: Key, outputs: Arc<Outputs>) -> Result<(), StoreError> {
+        self.keys[stage.index()] = Some(key);
+        self.state[stage.index()] = State::Done;
+        self.done[stage.index()] = Some(outputs);
+        self.outcome.cached += 1;
+        self.tell(&Event::Cached { stage, key });
+        self.note(stage)
+    }
+
+    /// Looks at the stages behind one that is done: their keys can now be known, and what is there already is done too.
+    fn wake_readers(&mut self, stage: StageIndex) -> Result<(), StoreError> {
+        let mut done = vec![stage];
+        while let Some(stage) = done.pop() {
+            for &reader in self.shape.order.readers(stage) {
+                self.left[reader.index()] -= 1;
+                if self.left[reader.index()] > 0 || self.state[reader.index()] != State::Pending {
+                    continue;
+                }
+                match plan::key_of(&self.shape.graph.stages[reader], &self.done, self.shape.files) {
+                    Ok(Some(key)) => match self.look_up(reader, &key)? {
+                        Cached::Yes(outputs) => {
+                            self.cached(reader, key, outputs)?;
+                            done.push(reader);
+                        }
+                        Cached::No(reason) => {
+                            self.why[reader.index()] = reason.map(|reason| vec![reason]);
+                            self.make_ready(reader, key);
+                        }
+                    },
+                    Ok(None) => {}
+                    Err(error) => {
+                        self.failed(reader, error.to_string());
+                        self.skip_readers(reader, reader);
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn make_ready(&mut self, stage: StageIndex, key: Key) {
+        self.keys[stage.index()] = Some(key);
+        self.ready.push(stage, self.costs[stage.index()]);
+    }
+
+    fn look_up(&self, stage: StageIndex, key: &Key) -> Result<Cached, StoreError> {
+        plan::look_up(self.site.store, &self.history, &self.shape.graph.stages[stage], key)
+    }
+
+    fn take_why(&mut self, stage: StageIndex) -> Result<Vec<Reason>, StoreError> {
+        if let Some(why) = self.why[stage.index()].take() {
+            return Ok(why);
+        }
+        let Shape { graph, files, .. } = self.shape;
+        let (store, node) = (self.site.store, &graph.stages[stage]);
+        let mut why = plan::why(graph, node, &self.done, files, store, &self.history)?;
+        if why.is_empty() {
+            why.push(Reason::New);
+        }
+        Ok(why)
+    }
+
+    /// The run's folders are made when the first stage starts: a run with nothing to do leaves no trace.
+    fn open_run(&mut self) -> Result<Arc<Run>, StoreError> {
+        if let Some(run) = &self.run {
+            return Ok(Arc::clone(run));
+        }
+        let graph = self.shape.graph;
+        let run = Arc::new(self.site.store.begin_run(&json!({
+            "version": 1, "pipeline": graph.pipeline, "profile": graph.profile,
+            "stages": graph.stages.node_count(), "fingerprint": Fingerprint::current(),
+        }))?);
+        self.run = Some(Arc::clone(&run));
+        let threads = self.budget();
+        self.journal.note(graph, &Event::Started { stages: self.state.len(), threads });
+        for (stage, key) in graph.stages.node_indices().zip(&self.keys) {
+            if let (State::Done, Some(key)) = (self.state[stage.index()], key) {
+                self.journal.note(graph, &Event::Cached { stage, key: *key });
+            }
+        }
+        Ok(run)
+    }
+
+    fn note(&mut self, stage: StageIndex) -> Result<(), StoreError> {
+        match (self.keys[stage.index()], &self.done[stage.index()]) {
+            (Some(key), Some(outputs)) => self.history.note(&self.shape.graph.stages[stage].id, key, outputs),
+            _ => Ok(()),
+        }
+    }
+
+    fn tell(&mut self, event: &Event) {
+        if self.run.is_some() {
+            self.journal.note(self.shape.graph, event);
+        }
+        (self.sink)(event);
+    }
+
+    fn write_journal(&mut self, now: bool) -> Result<(), StoreError> {
+        self.run.as_ref().map_or(Ok(()), |run| self.journal.write(run, now))
+    }
+
+    fn log_stem(&self, stage: StageIndex) -> String {
+        log_stem(self.shape.graph, stage, self.keys[stage.index()].as_ref())
+    }
+
+    fn threads(&self, stage: StageIndex) -> usize {
+        self.shape.graph.stages[stage].needs.threads.max(1)
+    }
+
+    fn budget(&self) -> usize {
+        self.site.options.threads.max(1)
+    }
+
+    fn patience(&self) -> Duration {
+        let next = self.elsewhere.next().map(|next| next.saturating_duration_since(Instant::now()));
+        next.map_or(GLANCE, |next| next.min(GLANCE))
+    }
+}
+
+/// The name of a stage's log: readable, and unique through the key.
+pub(super) fn log_stem(graph: &Graph, stage: StageIndex, key: Option<&Key>) -> String {
+    let key = key.map(Key::short).unwrap_or_default();
+    let stem: String = graph.stages[stage].file_stem().chars().take(40).collect();
+    format!("{stem}-{key}")
+}

@@ -1,0 +1,121 @@
+//! What a stage's process prints: lines that are messages are heard, all else goes to its log.
+
+use std::io::{self, Read, Write};
+
+use dril_stage_api::Message;
+
+use crate::fsx::File;
+
+/// A line longer than this is no message; it is passed on in parts, so that no stage can fill the engine's memory.
+const LONGEST_LINE: usize = 64 * 1024;
+
+/// Takes a stage's output apart.
+pub(super) struct Listener<L = File> {
+    log: L,
+    line: Vec<u8>,
+    failure: Option<String>,
+}
+
+impl<L: Write> Listener<L> {
+    pub fn new(log: L) -> Self {
+        Self { log, line: Vec::new(), failure: None }
+    }
+
+    /// Takes what can be read in one go; false at the end.
+    pub fn read(
+        &mut self,
+        output: Option<&mut impl Read>,
+        hear: &mut dyn FnMut(Message),
+    ) -> io::Result<bool> {
+        let mut buffer = [0; 8192];
+        let count = match output.map(|output| output.read(&mut buffer)) {
+            Some(Err(error)) if error.kind() == io::ErrorKind::Interrupted => return Ok(true),
+            Some(result) => result?,
+            None => 0,
+        };
+        self.take(&buffer[..count], hear)?;
+        Ok(count > 0)
+    }
+
+    /// Takes the rest, which has no end of line.
+    pub fn finish(&mut self, hear: &mut dyn FnMut(Message)) -> io::Result<()> {
+        if self.line.is_empty() { Ok(()) } else { self.end_line(hear) }
+    }
+
+    /// Why the stage says that it failed.
+    pub fn failure(&self) -> Option<String> {
+        self.failure.clone()
+    }
+
+    fn take(&mut self, bytes: &[u8], hear: &mut dyn FnMut(Message)) -> io::Result<()> {
+        for piece in bytes.split_inclusive(|byte| *byte == b'\n') {
+            let (text, ended) = match piece.split_last() {
+                Some((b'\n', text)) => (text, true),
+                _ => (piece, false),
+            };
+            self.line.extend_from_slice(text);
+            if ended || self.line.len() > LONGEST_LINE {
+                self.end_line(hear)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn end_line(&mut self, hear: &mut dyn FnMut(Message)) -> io::Result<()> {
+        let message = std::str::from_utf8(&self.line).ok().and_then(Message::from_line);
+        match message {
+            Some(Message::Failed { error }) => self.failure = Some(error),
+            Some(message) => hear(message),
+            None => {
+                self.line.push(b'\n');
+                self.log.write_all(&self.line)?;
+            }
+        }
+        self.line.clear();
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn listen(parts: &[&[u8]]) -> (Vec<Message>, Vec<u8>, Option<String>) {
+        let mut listener = Listener::new(Vec::new());
+        let mut heard = Vec::new();
+        for part in parts {
+            listener.take(part, &mut |message| heard.push(message)).unwrap();
+        }
+        listener.finish(&mut |message| heard.push(message)).unwrap();
+        (heard, listener.log, listener.failure)
+    }
+
+    #[test]
+    fn messages_are_heard_and_the_rest_is_logged_however_the_bytes_arrive() {
+        let message = Message::Progress(dril_stage_api::Progress { step: 1, total: 2, ..Default::default() });
+        let mut text = format!("[W] a warning\n{}\n{{not json\n", message.to_line()).into_bytes();
+        text.push(0xff);
+        let expected = listen(&[&text]);
+        assert_eq!(expected.0, [message]);
+        assert_eq!(expected.1, b"[W] a warning\n{not json\n\xff\n");
+        for cut in 1..text.len() {
+            assert_eq!(listen(&[&text[..cut], &text[cut..]]), expected, "cut at {cut}");
+        }
+    }
+
+    #[test]
+    fn the_last_word_of_a_stage_is_why_it_failed() {
+        let line = Message::Failed { error: "no demonstrations".into() }.to_line();
+        assert_eq!(listen(&[line.as_bytes()]).2.as_deref(), Some("no demonstrations"));
+    }
+
+    #[test]
+    fn a_line_without_end_does_not_grow_without_end() {
+        let mut listener = Listener::new(Vec::new());
+        for _ in 0..64 {
+            listener.take(&[b'x'; 4096], &mut |_| {}).unwrap();
+            assert!(listener.line.len() <= LONGEST_LINE + 4096);
+        }
+        assert!(listener.log.len() >= 2 * LONGEST_LINE);
+    }
+}

@@ -1,0 +1,56 @@
+//! What runs one job: the seam between the dispatcher, which knows the graph, and processes here or elsewhere.
+
+use std::io;
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+
+use dril_stage_api::Message;
+
+/// What a runner is to start.
+#[derive(Clone, Copy, Debug)]
+pub struct Launch<'a> {
+    /// The job file ([`dril_stage_api::Job`] as JSON).
+    pub job: &'a Path,
+    /// The file for all that the stage prints.
+    pub log: &'a Path,
+    /// The folder that it may work in; removed afterwards.
+    pub folder: &'a Path,
+    /// The executable, beside this one, that runs the kind; `None` where this one does.
+    pub worker: Option<&'static str>,
+    /// Threads that it may keep busy.
+    pub threads: usize,
+    /// Raised when the stage shall stop: first asked to, then, after `grace`, killed.
+    pub stop: &'a AtomicBool,
+    /// See [`super::Options::grace`].
+    pub grace: Duration,
+}
+
+/// How a stage's process ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Exit {
+    /// It says that it is done.
+    Done,
+    /// It was asked to stop, and did.
+    Stopped,
+    /// It failed, for this reason.
+    Failed(String),
+}
+
+/// Runs one job, here or elsewhere.
+pub trait Runner: Sync {
+    /// Says whether it can run the kinds of that worker ([`dril_stage_api::Kind::worker`]); asked before anything runs.
+    ///
+    /// # Errors
+    /// What is missing, and how to mend it.
+    fn check(&self, worker: Option<&'static str>) -> Result<(), String> {
+        let _ = worker;
+        Ok(())
+    }
+
+    /// Runs the job to its end; `hear` is told what it says. When it returns, nothing of the job writes any more.
+    ///
+    /// # Errors
+    /// It could not be started or watched.
+    fn run(&self, launch: &Launch<'_>, hear: &mut dyn FnMut(Message)) -> io::Result<Exit>;
+}

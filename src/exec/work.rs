@@ -1,0 +1,260 @@
+//! One stage from its job to its record: what a worker thread does while the dispatcher goes on.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::sync::mpsc::SyncSender;
+use std::time::{Duration, Instant};
+
+use dril_stage_api::{Job, JobInput, JobOutput, Message, Ports, Seed};
+
+use super::Options;
+use super::dispatch::{Shape, log_stem};
+use super::runner::{Exit, Launch, Runner};
+use crate::fsx::{self, Entry, FsError, Lock};
+use crate::plan::{self, OutsideFile};
+use crate::resolve::{self, Source, StageIndex, StageInstance};
+use crate::store::{Blob, Fingerprint, Key, Outputs, RECORD_VERSION, Record, Run, Store, StoreError, Stored};
+
+/// What all stages of a run share.
+#[derive(Clone, Copy)]
+pub(super) struct Site<'a> {
+    pub store: &'a Store,
+    pub runner: &'a dyn Runner,
+    pub options: &'a Options,
+    /// Raised when running stages shall stop.
+    pub halt: &'a AtomicBool,
+}
+
+/// A stage that is to run, with the right to make its record.
+pub(super) struct Task<'a> {
+    pub stage: StageIndex,
+    pub key: Key,
+    pub lock: Lock,
+    pub run: Arc<Run>,
+    pub job: Job,
+    pub ports: &'a Ports,
+    pub worker: Option<&'static str>,
+    pub threads: usize,
+    /// Files from outside that it reads.
+    pub files: Vec<&'a OutsideFile>,
+    /// All but what is known only afterwards.
+    pub record: Record,
+    /// A folder that is not there yet.
+    pub folder: PathBuf,
+    pub log: PathBuf,
+}
+
+/// What a worker tells the dispatcher.
+pub(super) enum News {
+    /// The stage said something.
+    Said(StageIndex, Message),
+    /// Its process is gone. Where it succeeded, its outputs can be read from now on, so that those who wait for them can
+    /// start; a crash before [`News::Committed`] costs that it runs again, and nothing else, since keys go by content.
+    Built(StageIndex, Result<Arc<Outputs>, Failure>),
+    /// Its record is written and durable. Comes after `Built` where that was a success.
+    Committed(StageIndex, Result<Duration, String>),
+}
+
+/// Why a stage has no outputs.
+#[derive(Debug)]
+pub(super) enum Failure {
+    /// It was asked to stop, and did.
+    Stopped,
+    /// It failed.
+    Failed(String),
+}
+
+impl From<StoreError> for Failure {
+    fn from(error: StoreError) -> Self {
+        Self::Failed(error.to_string())
+    }
+}
+
+impl From<FsError> for Failure {
+    fn from(error: FsError) -> Self {
+        Self::Failed(error.to_string())
+    }
+}
+
+impl<'a> Task<'a> {
+    /// What a stage needs in order to run, all that feeds it being done.
+    pub fn new(
+        stage: StageIndex,
+        key: Key,
+        lock: Lock,
+        run: Arc<Run>,
+        shape: Shape<'a>,
+        done: &[Option<Arc<Outputs>>],
+        site: Site<'_>,
+    ) -> Self {
+        let node = &shape.graph.stages[stage];
+        let folder = run.temporary().join(key.hex());
+        let outside =
+            node.inputs.iter().flat_map(|wire| &wire.sources).filter_map(|source| match &source.from {
+                resolve::From::File { path, .. } => shape.files.get(path),
+                resolve::From::Stage { .. } => None,
+            });
+        Self {
+            log: run.log(&log_stem(shape.graph, stage, Some(&key))),
+            job: job(node, &key, &folder, done, shape, site),
+            record: record(node, done, shape),
+            ports: &node.ports,
+            worker: node.kind.worker(),
+            threads: node.needs.threads.max(1),
+            files: outside.collect(),
+            stage,
+            key,
+            lock,
+            run,
+            folder,
+        }
+    }
+
+    /// Does it all. The dispatcher may have gone in the meantime; then nobody is told.
+    pub fn work(mut self, site: Site<'_>, news: &SyncSender<News>) {
+        let stage = self.stage;
+        let said = |message| drop(news.send(News::Said(stage, message)));
+        // A fault in a runner must not leave the dispatcher waiting for ever.
+        let built = catch_unwind(AssertUnwindSafe(|| self.build(site, &mut { said })));
+        let built = built.unwrap_or_else(|_| Err(Failure::Failed("the engine's worker panicked".to_owned())));
+        match built {
+            Err(failure) => drop(news.send(News::Built(stage, Err(failure)))),
+            Ok((blobs, took)) => {
+                let outputs = Arc::new(self.record.outputs.clone());
+                let _ = news.send(News::Built(stage, Ok(outputs)));
+                let committed = self.commit(site.store, &blobs).map_err(|error| error.to_string());
+                let _ = news.send(News::Committed(stage, committed.map(|()| took)));
+            }
+        }
+        // Garbage that stays behind is removed with the run's folder.
+        let _ = fsx::remove_dir_all(&self.folder);
+        let _ = self.lock.remove();
+    }
+
+    fn build(
+        &mut self,
+        site: Site<'_>,
+        hear: &mut dyn FnMut(Message),
+    ) -> Result<(Vec<Blob>, Duration), Failure> {
+        for file in &self.files {
+            site.store.import(&file.path, &file.digest, &self.run)?;
+        }
+        fsx::create_dir(&self.folder)?;
+        fsx::create_dir(&outputs_folder(&self.folder))?;
+        let job_file = self.folder.join("job.json");
+        let job = serde_json::to_vec(&self.job).map_err(|error| Failure::Failed(error.to_string()))?;
+        fsx::write(&job_file, &job)?;
+        let launch = Launch {
+            job: &job_file,
+            log: &self.log,
+            folder: &self.folder,
+            worker: self.worker,
+            threads: self.threads,
+            stop: site.halt,
+            grace: site.options.grace,
+        };
+        let began = Instant::now();
+        match site.runner.run(&launch, hear) {
+            Ok(Exit::Done) => {}
+            Ok(Exit::Stopped) => return Err(Failure::Stopped),
+            Ok(Exit::Failed(error)) => return Err(Failure::Failed(error)),
+            Err(error) => return Err(Failure::Failed(error.to_string())),
+        }
+        let took = began.elapsed();
+        self.record.seconds = took.as_secs_f64();
+        Ok((self.take_outputs(site.store)?, took))
+    }
+
+    /// Moves what the stage wrote into the store; all of its outputs are there and are files, or none is taken.
+    fn take_outputs(&mut self, store: &Store) -> Result<Vec<Blob>, Failure> {
+        let mut paths = Vec::with_capacity(self.ports.outputs.len());
+        for output in &self.ports.outputs {
+            let path = output_path(&self.folder, output.name, output.extension);
+            check_output(output.name, &path)?;
+            paths.push(path);
+        }
+        let mut blobs = Vec::with_capacity(paths.len());
+        for (output, path) in self.ports.outputs.iter().zip(paths) {
+            let blob = store.take(&path)?;
+            let stored =
+                Stored { digest: blob.digest, bytes: blob.bytes, extension: output.extension.to_owned() };
+            self.record.outputs.insert(output.name.to_owned(), stored);
+            blobs.push(blob);
+        }
+        Ok(blobs)
+    }
+
+    fn commit(&self, store: &Store, blobs: &[Blob]) -> Result<(), StoreError> {
+        store.commit(&self.key, &self.record, blobs, &self.folder)?;
+        store.clear_checkpoints(&self.key)
+    }
+}
+
+fn job(
+    node: &StageInstance,
+    key: &Key,
+    folder: &Path,
+    done: &[Option<Arc<Outputs>>],
+    shape: Shape<'_>,
+    site: Site<'_>,
+) -> Job {
+    let input = |source: &Source| {
+        let digest = plan::digest_of(source, done, shape.files)?;
+        Some(JobInput { path: site.store.blob_path(&digest), labels: source.labels.clone() })
+    };
+    let inputs = node
+        .inputs
+        .iter()
+        .map(|wire| (wire.port.to_owned(), wire.sources.iter().filter_map(input).collect()));
+    let outputs = node.ports.outputs.iter().map(|output| {
+        (output.name.to_owned(), JobOutput { path: output_path(folder, output.name, output.extension) })
+    });
+    Job {
+        stage: node.id.as_ref().to_owned(),
+        kind: node.kind.name().to_owned(),
+        revision: node.kind.revision(),
+        params: node.params.clone(),
+        // A kind without randomness draws from no stream; the number only fills the field.
+        seed: node.seed.unwrap_or(Seed(0)),
+        inputs: inputs.collect(),
+        outputs: outputs.collect(),
+        checkpoints: site.store.checkpoints(key).join("files"),
+        checkpoint_seconds: site.options.checkpoint_seconds,
+    }
+}
+
+fn record(node: &StageInstance, done: &[Option<Arc<Outputs>>], shape: Shape<'_>) -> Record {
+    Record {
+        version: RECORD_VERSION,
+        stage: node.id.as_ref().to_owned(),
+        kind: node.kind.name().to_owned(),
+        revision: node.kind.revision(),
+        params: node.params.clone(),
+        seed: node.seed.map(|seed| seed.0),
+        inputs: plan::record_inputs(shape.graph, node, done, shape.files),
+        outputs: Outputs::new(),
+        seconds: 0.0,
+        fingerprint: Fingerprint::current(),
+    }
+}
+
+/// Where a stage writes an output.
+fn output_path(folder: &Path, name: &str, extension: &str) -> PathBuf {
+    outputs_folder(folder).join(format!("{name}.{extension}"))
+}
+
+fn outputs_folder(folder: &Path) -> PathBuf {
+    folder.join("outputs")
+}
+
+fn check_output(name: &str, path: &Path) -> Result<(), Failure> {
+    let seen = match fsx::entry(path)? {
+        Some(Entry::File(_)) => return Ok(()),
+        None => "was not written",
+        Some(Entry::Folder) => "is a folder, expected a file",
+        Some(Entry::Other) => "is a link or no regular file, expected a file",
+    };
+    Err(Failure::Failed(format!("output `{name}` {seen}")))
+}

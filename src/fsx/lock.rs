@@ -1,0 +1,115 @@
+//! Locks between processes. They are the kernel's: whatever happens to their owner, they die with it, and there is no
+//! content that could be corrupt.
+
+use std::fs::{File, OpenOptions, TryLockError};
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+
+use super::{FsError, Result};
+
+/// A lock that this process holds until it is dropped.
+#[derive(Debug)]
+pub struct Lock {
+    file: File,
+    path: PathBuf,
+}
+
+impl Lock {
+    /// Takes the lock on `path` (a file of its own, made where there is none); `None` while somebody else holds it.
+    ///
+    /// # Errors
+    /// The file cannot be made, or the file system knows no locks.
+    pub fn try_acquire(path: &Path) -> Result<Option<Self>> {
+        loop {
+            let file = open(path)?;
+            match file.try_lock() {
+                Err(TryLockError::WouldBlock) => return Ok(None),
+                Err(TryLockError::Error(error)) => return Err(FsError::at("lock", path)(error)),
+                Ok(()) if is_at(&file, path)? => return Ok(Some(Self { file, path: path.to_owned() })),
+                Ok(()) => {}
+            }
+        }
+    }
+
+    /// Takes the lock on `path`, waiting for it where somebody else holds it.
+    ///
+    /// # Errors
+    /// As [`Lock::try_acquire`].
+    pub fn acquire(path: &Path) -> Result<Self> {
+        loop {
+            let file = open(path)?;
+            file.lock().map_err(FsError::at("lock", path))?;
+            if is_at(&file, path)? {
+                return Ok(Self { file, path: path.to_owned() });
+            }
+        }
+    }
+
+    /// Gives the lock up and removes its file, so that locks do not pile up. Whoever waits for it makes a new one.
+    ///
+    /// # Errors
+    /// The file cannot be removed; the lock is given up all the same.
+    pub fn remove(self) -> Result<()> {
+        // Removed while it is held: whoever opened the file before finds, once it has the lock, that it is not the one
+        // at the path any more, and tries again.
+        super::remove_file(&self.path).map(drop)
+    }
+
+    /// Its file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+impl Drop for Lock {
+    fn drop(&mut self) {
+        // Closing would do; a duplicate of the descriptor in a child that was just forked would keep it a moment longer.
+        let _ = self.file.unlock();
+    }
+}
+
+fn open(path: &Path) -> Result<File> {
+    let opened = OpenOptions::new().write(true).create(true).truncate(false).open(path);
+    opened.map_err(FsError::at("open the lock", path))
+}
+
+fn is_at(file: &File, path: &Path) -> Result<bool> {
+    let ours = file.metadata().map_err(FsError::at("look at", path))?;
+    match std::fs::metadata(path) {
+        Ok(there) => Ok((ours.dev(), ours.ino()) == (there.dev(), there.ino())),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(false),
+        Err(error) => Err(FsError::at("look at", path)(error)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_lock_is_held_by_one_and_free_once_dropped() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("lock");
+        let first = Lock::try_acquire(&path).unwrap().unwrap();
+        assert!(Lock::try_acquire(&path).unwrap().is_none());
+        drop(first);
+        assert!(Lock::try_acquire(&path).unwrap().is_some());
+    }
+
+    #[test]
+    fn a_waiter_does_not_take_a_lock_whose_file_was_removed() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("lock");
+        let first = Lock::try_acquire(&path).unwrap().unwrap();
+        let waiter = std::thread::spawn({
+            let path = path.clone();
+            move || Lock::acquire(&path).unwrap()
+        });
+        // Whether the waiter opened the file before or after it was removed, it ends with the one at the path.
+        std::thread::sleep(std::time::Duration::from_millis(20));
+        first.remove().unwrap();
+        let second = waiter.join().unwrap();
+        assert!(is_at(&second.file, &path).unwrap());
+        assert!(Lock::try_acquire(&path).unwrap().is_none());
+    }
+}

@@ -1,0 +1,117 @@
+//! Why a stage is stale: what differs between what it is now and its nearest earlier record.
+
+use std::collections::BTreeMap;
+
+use serde_json::Value;
+
+use super::lookup::{self, Done};
+use super::{OutsideFile, Reason};
+use crate::resolve::{Graph, Source, StageInstance, Wire};
+use crate::store::{Record, RecordInput, RecordItem};
+
+/// What differs, as far as it is known: inputs whose stages are not done are passed over. Empty where nothing does.
+pub fn differences(
+    graph: &Graph,
+    stage: &StageInstance,
+    then: &Record,
+    done: &Done,
+    files: &BTreeMap<String, OutsideFile>,
+) -> Vec<Reason> {
+    let mut found = Vec::new();
+    if then.kind != stage.kind.name() {
+        found.push(Reason::Kind { old: then.kind.clone(), new: stage.kind.name().to_owned() });
+        return found;
+    }
+    if then.revision != stage.kind.revision() {
+        found.push(Reason::Revision { old: then.revision, new: stage.kind.revision() });
+    }
+    let seed = stage.seed.map(|seed| seed.0);
+    if then.seed != seed {
+        found.push(Reason::Seed { old: then.seed, new: seed });
+    }
+    params("", Some(&then.params), Some(&stage.params), &mut found);
+    let known = Known { graph, done, files };
+    for wire in &stage.inputs {
+        let before = then.inputs.iter().find(|input| input.port == wire.port);
+        known.input(wire, before, &mut found);
+    }
+    for gone in then.inputs.iter().filter(|input| stage.inputs.iter().all(|wire| wire.port != input.port)) {
+        let items = gone.items.iter();
+        found.extend(items.map(|item| Reason::Input { port: gone.port.clone(), from: item.from.clone() }));
+    }
+    found
+}
+
+/// Compares parameters down to the single value.
+fn params(path: &str, then: Option<&Value>, now: Option<&Value>, found: &mut Vec<Reason>) {
+    let below = |name: &str| if path.is_empty() { name.to_owned() } else { format!("{path}.{name}") };
+    match (then, now) {
+        (Some(Value::Object(then)), Some(Value::Object(now))) => {
+            let mut names: Vec<&String> = then.keys().chain(now.keys()).collect();
+            names.sort_unstable();
+            names.dedup();
+            for name in names {
+                params(&below(name), then.get(name), now.get(name), found);
+            }
+        }
+        (Some(Value::Array(then)), Some(Value::Array(now))) if then.len() == now.len() => {
+            for (position, pair) in then.iter().zip(now).enumerate() {
+                params(&below(&position.to_string()), Some(pair.0), Some(pair.1), found);
+            }
+        }
+        (then, now) if then != now => found.push(Reason::Param {
+            path: path.to_owned(),
+            old: then.map(Value::to_string),
+            new: now.map(Value::to_string),
+        }),
+        _ => {}
+    }
+}
+
+struct Known<'a> {
+    graph: &'a Graph,
+    done: &'a Done,
+    files: &'a BTreeMap<String, OutsideFile>,
+}
+
+impl Known<'_> {
+    /// Compares what is wired to one input. Artifacts of a fan-in are matched by their labels, so that one new artifact
+    /// in the middle is not told as a change of all behind it.
+    fn input(&self, wire: &Wire, before: Option<&RecordInput>, found: &mut Vec<Reason>) {
+        let before: &[RecordItem] = before.map_or(&[], |input| &input.items);
+        let mut reason = |from| found.push(Reason::Input { port: wire.port.to_owned(), from });
+        let mut changed = false;
+        for source in &wire.sources {
+            let Some(digest) = lookup::digest_of(source, self.done, self.files) else {
+                changed = true;
+                continue;
+            };
+            if !before.iter().any(|item| item.digest == digest && same_place(wire, source, item)) {
+                changed = true;
+                reason(lookup::origin(self.graph, source));
+            }
+        }
+        for item in before {
+            if !wire.sources.iter().any(|source| same_place(wire, source, item)) {
+                changed = true;
+                reason(item.from.clone());
+            }
+        }
+        let count = wire.sources.len();
+        if !changed && (count != before.len() || wire.many && self.reordered(wire, before)) {
+            reason(format!("the order or number of its {count} artifacts"));
+        }
+    }
+
+    fn reordered(&self, wire: &Wire, before: &[RecordItem]) -> bool {
+        wire.sources.iter().zip(before).any(|(source, item)| {
+            source.labels != item.labels
+                || lookup::digest_of(source, self.done, self.files) != Some(item.digest)
+        })
+    }
+}
+
+/// True where an artifact takes the place in the input that `item` had.
+fn same_place(wire: &Wire, source: &Source, item: &RecordItem) -> bool {
+    !wire.many || source.labels == item.labels
+}

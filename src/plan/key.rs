@@ -1,0 +1,223 @@
+//! The key of a piece of work: blake3 over canonical bytes of all that its result depends on, and of nothing else.
+//!
+//! The bytes are written here and not by a serialiser, because another crate's feature flag can change the order in
+//! which a serialiser writes a map. Every text and list carries its length and every value its type, so that no two
+//! different pieces of work have the same bytes. `docs/design/keys.md` has the format; changing it makes every stored
+//! record unreachable.
+
+use std::collections::BTreeMap;
+
+use dril_stage_api::Labels;
+use serde_json::{Map, Number, Value};
+
+use crate::store::{Digest, Key, Record};
+
+/// Separates keys from every other use of blake3, and carries the version of the format.
+const CONTEXT: &str = "dril-pipe stage key v1";
+
+/// A parameter that has no place in a key.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("`{path}` is {value}, expected a finite number of at most 64 bits")]
+pub struct NoKey {
+    /// The parameter, dotted.
+    pub path: String,
+    /// Its value.
+    pub value: String,
+}
+
+/// All that the result of a stage depends on.
+#[derive(Clone, Debug)]
+pub struct Work<'a> {
+    /// The kind's name.
+    pub kind: &'a str,
+    /// The kind's revision.
+    pub revision: u32,
+    /// Normalised parameters.
+    pub params: &'a Value,
+    /// The seed; `None` where the kind draws no random number.
+    pub seed: Option<u64>,
+    /// What is wired to each input; the order does not matter.
+    pub inputs: Vec<WorkInput<'a>>,
+}
+
+/// What is wired to one input.
+#[derive(Clone, Debug)]
+pub struct WorkInput<'a> {
+    /// The input's name.
+    pub port: &'a str,
+    /// True where the input takes many: then labels are part of the key.
+    pub many: bool,
+    /// Contents with their labels; the order matters.
+    pub items: Vec<(Digest, &'a Labels)>,
+}
+
+impl Work<'_> {
+    /// The key.
+    ///
+    /// # Errors
+    /// A parameter is a number that is not finite or does not fit 64 bits.
+    pub fn key(&self) -> Result<Key, NoKey> {
+        let mut hasher = blake3::Hasher::new_derive_key(CONTEXT);
+        hasher.update(&self.canonical_bytes()?);
+        Ok(Key::new(*hasher.finalize().as_bytes()))
+    }
+
+    fn canonical_bytes(&self) -> Result<Vec<u8>, NoKey> {
+        let mut out = Canonical(Vec::with_capacity(512));
+        out.text(self.kind);
+        out.number(u64::from(self.revision));
+        out.value(self.params)?;
+        match self.seed {
+            None => out.tag(Tag::Absent),
+            Some(seed) => {
+                out.tag(Tag::Unsigned);
+                out.number(seed);
+            }
+        }
+        let mut inputs: Vec<&WorkInput<'_>> = self.inputs.iter().collect();
+        inputs.sort_unstable_by_key(|input| input.port);
+        out.length(inputs.len());
+        for input in inputs {
+            out.input(input);
+        }
+        Ok(out.0)
+    }
+}
+
+/// The key under which a record belongs: what it says of its own making, hashed anew.
+///
+/// # Errors
+/// The record holds a parameter that has no place in a key.
+pub fn key_of_record(record: &Record) -> Result<Key, NoKey> {
+    let inputs = record.inputs.iter().map(|input| WorkInput {
+        port: &input.port,
+        many: input.many,
+        items: input.items.iter().map(|item| (item.digest, &item.labels)).collect(),
+    });
+    let work = Work {
+        kind: &record.kind,
+        revision: record.revision,
+        params: &record.params,
+        seed: record.seed,
+        inputs: inputs.collect(),
+    };
+    work.key()
+}
+
+/// What stands before a value. Numbers, not names, are the format.
+#[derive(Clone, Copy)]
+#[repr(u8)]
+enum Tag {
+    Absent = 0,
+    False = 1,
+    True = 2,
+    Unsigned = 3,
+    Negative = 4,
+    Float = 5,
+    Text = 6,
+    List = 7,
+    Map = 8,
+}
+
+struct Canonical(Vec<u8>);
+
+impl Canonical {
+    fn tag(&mut self, tag: Tag) {
+        self.0.push(tag as u8);
+    }
+
+    fn number(&mut self, number: u64) {
+        self.0.extend_from_slice(&number.to_le_bytes());
+    }
+
+    fn length(&mut self, length: usize) {
+        self.number(length as u64);
+    }
+
+    fn text(&mut self, text: &str) {
+        self.length(text.len());
+        self.0.extend_from_slice(text.as_bytes());
+    }
+
+    fn value(&mut self, value: &Value) -> Result<(), NoKey> {
+        match value {
+            Value::Null => self.tag(Tag::Absent),
+            Value::Bool(false) => self.tag(Tag::False),
+            Value::Bool(true) => self.tag(Tag::True),
+            Value::Number(number) => self.json_number(number)?,
+            Value::String(text) => {
+                self.tag(Tag::Text);
+                self.text(text);
+            }
+            Value::Array(list) => {
+                self.tag(Tag::List);
+                self.length(list.len());
+                for (position, item) in list.iter().enumerate() {
+                    self.value(item).map_err(|error| error.below(&position.to_string()))?;
+                }
+            }
+            Value::Object(map) => self.map(map)?,
+        }
+        Ok(())
+    }
+
+    fn json_number(&mut self, number: &Number) -> Result<(), NoKey> {
+        if let Some(unsigned) = number.as_u64() {
+            self.tag(Tag::Unsigned);
+            self.number(unsigned);
+        } else if let Some(negative) = number.as_i64() {
+            self.tag(Tag::Negative);
+            self.number(negative.cast_unsigned());
+        } else if let Some(float) = number.as_f64().filter(|float| float.is_finite()) {
+            self.tag(Tag::Float);
+            self.number(float.to_bits());
+        } else {
+            return Err(NoKey { path: String::new(), value: number.to_string() });
+        }
+        Ok(())
+    }
+
+    fn map(&mut self, map: &Map<String, Value>) -> Result<(), NoKey> {
+        self.tag(Tag::Map);
+        self.length(map.len());
+        // Sorted already, unless a crate in the build switched on serde_json's `preserve_order`.
+        let mut entries: Vec<(&String, &Value)> = map.iter().collect();
+        entries.sort_unstable_by_key(|(name, _)| *name);
+        for (name, item) in entries {
+            self.text(name);
+            self.value(item).map_err(|error| error.below(name))?;
+        }
+        Ok(())
+    }
+
+    fn input(&mut self, input: &WorkInput<'_>) {
+        self.text(input.port);
+        self.tag(if input.many { Tag::True } else { Tag::False });
+        self.length(input.items.len());
+        for (digest, labels) in &input.items {
+            self.0.extend_from_slice(digest.as_bytes());
+            if input.many {
+                self.labels(labels);
+            }
+        }
+    }
+
+    fn labels(&mut self, labels: &BTreeMap<String, String>) {
+        self.length(labels.len());
+        for (axis, value) in labels {
+            self.text(axis);
+            self.text(value);
+        }
+    }
+}
+
+impl NoKey {
+    fn below(mut self, name: &str) -> Self {
+        self.path = if self.path.is_empty() { name.to_owned() } else { format!("{name}.{}", self.path) };
+        self
+    }
+}
+
+#[cfg(test)]
+#[path = "key_tests.rs"]
+mod tests;

@@ -1,0 +1,141 @@
+//! Whether a stage's result is in the store: its key from the contents of its inputs, and what is there under the key.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use dril_stage_api::Labels;
+
+use super::key::{NoKey, Work, WorkInput, key_of_record};
+use super::{OutsideFile, Reason};
+use crate::resolve::{From, Graph, Source, StageInstance};
+use crate::store::{
+    Digest, Found, History, Key, Outputs, Record, RecordInput, RecordItem, Store, StoreError,
+};
+
+/// The outputs of the stages that are done, by node index.
+pub type Done = [Option<Arc<Outputs>>];
+
+/// What there is for a key.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Cached {
+    /// The outputs, all of them in full.
+    Yes(Arc<Outputs>),
+    /// Not usable; a reason where the mere absence of a record is not the whole story.
+    No(Option<Reason>),
+}
+
+/// The content of an artifact; `None` while the stage that makes it is not done.
+pub fn digest_of(source: &Source, done: &Done, files: &BTreeMap<String, OutsideFile>) -> Option<Digest> {
+    match &source.from {
+        From::Stage { stage, output } => Some(done[stage.index()].as_ref()?.get(*output)?.digest),
+        From::File { path, .. } => Some(files.get(path)?.digest),
+    }
+}
+
+/// A stage's key; `None` while some stage that feeds it is not done.
+///
+/// # Errors
+/// Its parameters have no place in a key.
+pub fn key_of(
+    stage: &StageInstance,
+    done: &Done,
+    files: &BTreeMap<String, OutsideFile>,
+) -> Result<Option<Key>, NoKey> {
+    let mut inputs = Vec::with_capacity(stage.inputs.len());
+    for wire in &stage.inputs {
+        let mut items: Vec<(Digest, &Labels)> = Vec::with_capacity(wire.sources.len());
+        for source in &wire.sources {
+            let Some(digest) = digest_of(source, done, files) else { return Ok(None) };
+            items.push((digest, &source.labels));
+        }
+        inputs.push(WorkInput { port: wire.port, many: wire.many, items });
+    }
+    let work = Work {
+        kind: stage.kind.name(),
+        revision: stage.kind.revision(),
+        params: &stage.params,
+        seed: stage.seed.map(|seed| seed.0),
+        inputs,
+    };
+    work.key().map(Some)
+}
+
+/// Looks whether `key` is made.
+///
+/// # Errors
+/// The store cannot be read.
+pub fn look_up(
+    store: &Store,
+    history: &History,
+    stage: &StageInstance,
+    key: &Key,
+) -> Result<Cached, StoreError> {
+    let outputs = match history.outputs(key) {
+        Some(outputs) if store.has_record(key)? => Arc::clone(outputs),
+        Some(_) => return Ok(Cached::No(None)),
+        None => match store.find(key)? {
+            Found::Nothing => return Ok(Cached::No(None)),
+            Found::Damaged(error) => return Ok(Cached::No(Some(Reason::Damaged { error }))),
+            Found::Record(record) if key_of_record(&record) == Ok(*key) => Arc::new(record.outputs),
+            Found::Record(_) => {
+                let error = "it is the record of other work".to_owned();
+                return Ok(Cached::No(Some(Reason::Damaged { error })));
+            }
+        },
+    };
+    let missing = stage.ports.outputs.iter().find(|output| !outputs.contains_key(output.name));
+    let lost = match missing {
+        Some(output) => Some(output.name),
+        None => store.lost(&outputs)?,
+    };
+    Ok(match lost {
+        Some(output) => Cached::No(Some(Reason::Lost { output: output.to_owned() })),
+        None => Cached::Yes(outputs),
+    })
+}
+
+/// What the record of a stage says of its inputs; every stage that feeds it is done.
+pub fn record_inputs(
+    graph: &Graph,
+    stage: &StageInstance,
+    done: &Done,
+    files: &BTreeMap<String, OutsideFile>,
+) -> Vec<RecordInput> {
+    let input = |wire: &crate::resolve::Wire| RecordInput {
+        port: wire.port.to_owned(),
+        many: wire.many,
+        items: wire
+            .sources
+            .iter()
+            .filter_map(|source| {
+                Some(RecordItem {
+                    from: origin(graph, source),
+                    labels: source.labels.clone(),
+                    digest: digest_of(source, done, files)?,
+                })
+            })
+            .collect(),
+    };
+    stage.inputs.iter().map(input).collect()
+}
+
+/// Where an artifact comes from, for people: `dril[policy=beta].peak` or `file reference/table22.csv`.
+pub fn origin(graph: &Graph, source: &Source) -> String {
+    match &source.from {
+        From::Stage { stage, output } => format!("{}.{output}", graph.stages[*stage].id),
+        From::File { path, .. } => format!("file {path}"),
+    }
+}
+
+/// The nearest earlier record of a stage: the latest in the pipeline's history that is still there.
+///
+/// # Errors
+/// The store cannot be read.
+pub fn earlier_record(store: &Store, history: &History, stage: &str) -> Result<Option<Record>, StoreError> {
+    for key in history.earlier(stage) {
+        if let Some(record) = store.record(key)? {
+            return Ok(Some(record));
+        }
+    }
+    Ok(None)
+}

@@ -1,0 +1,107 @@
+//! Contents: hashed, made read-only, and moved to the place that their name says.
+
+use std::fs::File;
+use std::path::Path;
+
+use super::{Digest, Run, Store, StoreError};
+use crate::fsx::{self, Entry, FsError};
+
+/// The name and length of a file's content.
+///
+/// # Errors
+/// It cannot be read, or is no regular file.
+pub fn hash_file(path: &Path) -> fsx::Result<(Digest, u64)> {
+    let file = fsx::open(path)?;
+    hash(&file, path)
+}
+
+fn hash(file: &File, path: &Path) -> fsx::Result<(Digest, u64)> {
+    let mut hasher = blake3::Hasher::new();
+    hasher.update_reader(file).map_err(FsError::at("read", path))?;
+    Ok((Digest::new(*hasher.finalize().as_bytes()), hasher.count()))
+}
+
+/// A content that is in its place and can be read by others, but does not outlive a power failure before
+/// [`Blob::sync`].
+#[derive(Debug)]
+pub struct Blob {
+    /// The name of the content.
+    pub digest: Digest,
+    /// Its length.
+    pub bytes: u64,
+    file: File,
+    path: std::path::PathBuf,
+    made_folder: bool,
+}
+
+impl Store {
+    /// Takes `path`, a file in a private folder of this store, as a blob. The file may be gone afterwards.
+    ///
+    /// # Errors
+    /// It cannot be read, or the store cannot be written.
+    pub fn take(&self, path: &Path) -> Result<Blob, StoreError> {
+        let mut file = fsx::open(path)?;
+        let (digest, bytes) = hash(&file, path)?;
+        let target = self.blob_path(&digest);
+        let mut made_folder = false;
+        match same_content(&target, digest, bytes)? {
+            Some(there) => file = there,
+            None => {
+                fsx::make_read_only(&file, path)?;
+                if fsx::entry(&target)?.is_some() {
+                    // What is there is broken. It is replaced only by something that will not break in turn.
+                    fsx::sync(&file, path)?;
+                }
+                made_folder = fsx::rename_into(path, &target)?;
+            }
+        }
+        Ok(Blob { digest, bytes, file, path: target, made_folder })
+    }
+
+    /// Copies a file from outside into the store, where nobody changes it while stages read it.
+    ///
+    /// # Errors
+    /// Its content is not `digest` any more, it cannot be read, or the store cannot be written.
+    pub fn import(&self, path: &Path, digest: &Digest, run: &Run) -> Result<(), StoreError> {
+        let target = self.blob_path(digest);
+        if let Some(Entry::File(bytes)) = fsx::entry(&target)?
+            && same_content(&target, *digest, bytes)?.is_some()
+        {
+            return Ok(());
+        }
+        let copy = run.temporary().join(format!("import-{digest}"));
+        fsx::copy(path, &copy)?;
+        let (copied, _) = hash_file(&copy)?;
+        if copied != *digest {
+            fsx::remove_file(&copy)?;
+            return Err(StoreError::Changed(path.to_owned()));
+        }
+        Ok(self.take(&copy)?.sync()?)
+    }
+}
+
+impl Blob {
+    /// Makes the content and its name durable.
+    ///
+    /// # Errors
+    /// The disk refuses.
+    pub fn sync(&self) -> fsx::Result<()> {
+        fsx::sync(&self.file, &self.path)?;
+        if let Some(folder) = self.path.parent() {
+            fsx::sync_dir(folder)?;
+            if let Some(above) = folder.parent().filter(|_| self.made_folder) {
+                fsx::sync_dir(above)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The file at `path`, if it has that content: one that only has the right length may be what a power failure left.
+fn same_content(path: &Path, digest: Digest, bytes: u64) -> fsx::Result<Option<File>> {
+    if fsx::entry(path)? != Some(Entry::File(bytes)) {
+        return Ok(None);
+    }
+    let file = fsx::open(path)?;
+    Ok((hash(&file, path)?.0 == digest).then_some(file))
+}

@@ -1,0 +1,206 @@
+//! What each stage of a pipeline was made as, run after run: `stage -> key, outputs`, one line each, in
+//! `history-v1/<pipeline>-<profile>.jsonl`.
+//!
+//! It serves two ends, and the truth rests on neither: explanations compare a stage with what it was before, and a plan
+//! takes from here what the records say, one file instead of thousands (it still looks that each record and blob is
+//! there). Lines that cannot be read are passed over, so a torn line or a lost file costs an explanation, no result.
+
+use std::borrow::Cow;
+use std::collections::HashMap;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use super::{Key, Outputs, Store, StoreError};
+use crate::fsx;
+
+/// Lines are written once so many have gathered, and at the end of a run.
+const BATCH: usize = 32;
+
+/// The history of one pipeline in one profile.
+#[derive(Debug, Default)]
+pub struct History {
+    path: PathBuf,
+    stages: HashMap<String, Vec<Key>>,
+    outputs: HashMap<Key, Arc<Outputs>>,
+    lines: usize,
+    unwritten: Vec<u8>,
+    gathered: usize,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Line<'a> {
+    #[serde(borrow)]
+    stage: Cow<'a, str>,
+    key: Key,
+    outputs: Cow<'a, Outputs>,
+}
+
+impl Store {
+    /// Reads a pipeline's history; an empty one where there is none.
+    ///
+    /// # Errors
+    /// It is there and cannot be read.
+    pub fn history(&self, pipeline: &str, profile: &str) -> Result<History, StoreError> {
+        let name: String = format!("{pipeline}-{profile}")
+            .chars()
+            .map(|c| if c.is_alphanumeric() || "._-".contains(c) { c } else { '_' })
+            .take(100)
+            .collect();
+        let path = self.root().join("history-v1").join(format!("{name}.jsonl"));
+        let bytes = fsx::read_if_there(&path)?.unwrap_or_default();
+        let mut history = History { path, ..History::default() };
+        for line in bytes.split(|byte| *byte == b'\n').filter(|line| !line.is_empty()) {
+            history.lines += 1;
+            if let Ok(line) = serde_json::from_slice::<Line<'_>>(line) {
+                history.insert(&line.stage, line.key, Arc::new(line.outputs.into_owned()));
+            }
+        }
+        Ok(history)
+    }
+}
+
+impl History {
+    /// The keys that a stage had, the latest first.
+    pub fn earlier(&self, stage: &str) -> impl Iterator<Item = &Key> {
+        self.stages.get(stage).into_iter().flatten().rev()
+    }
+
+    /// What the record of that key says, as far as it is known here.
+    pub fn outputs(&self, key: &Key) -> Option<&Arc<Outputs>> {
+        self.outputs.get(key)
+    }
+
+    /// Notes what a stage is now. Nothing is written where that is not new.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn note(&mut self, stage: &str, key: Key, outputs: &Arc<Outputs>) -> Result<(), StoreError> {
+        if self.earlier(stage).next() == Some(&key) {
+            return Ok(());
+        }
+        self.insert(stage, key, Arc::clone(outputs));
+        self.lines += 1;
+        push_line(&mut self.unwritten, stage, key, outputs);
+        self.gathered += 1;
+        if self.gathered >= BATCH { self.flush() } else { Ok(()) }
+    }
+
+    /// Writes what has gathered.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn flush(&mut self) -> Result<(), StoreError> {
+        if self.gathered > 0 {
+            if let Some(folder) = self.path.parent().filter(|_| self.lines == self.gathered) {
+                fsx::create_dir_all(folder)?;
+            }
+            fsx::append(&self.path, &self.unwritten)?;
+            self.unwritten.clear();
+            self.gathered = 0;
+        }
+        Ok(())
+    }
+
+    /// Keeps only the last line of each stage, once most lines are outdated.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn compact(&mut self) -> Result<(), StoreError> {
+        self.flush()?;
+        if self.lines <= 2 * self.stages.len() + BATCH {
+            return Ok(());
+        }
+        let mut bytes = Vec::new();
+        let mut stages: Vec<_> = self.stages.iter().collect();
+        stages.sort();
+        for (stage, keys) in stages {
+            if let Some((key, outputs)) = keys.last().and_then(|key| self.outputs.get_key_value(key)) {
+                push_line(&mut bytes, stage, *key, outputs);
+            }
+        }
+        self.lines = self.stages.len();
+        Ok(fsx::write_atomic(&self.path, &bytes)?)
+    }
+
+    fn insert(&mut self, stage: &str, key: Key, outputs: Arc<Outputs>) {
+        match self.stages.get_mut(stage) {
+            Some(keys) => keys.push(key),
+            None => drop(self.stages.insert(stage.to_owned(), vec![key])),
+        }
+        self.outputs.insert(key, outputs);
+    }
+}
+
+fn push_line(bytes: &mut Vec<u8>, stage: &str, key: Key, outputs: &Outputs) {
+    let start = bytes.len();
+    let line = Line { stage: Cow::Borrowed(stage), key, outputs: Cow::Borrowed(outputs) };
+    // Strings, digests and whole numbers only: there is nothing in a line that JSON cannot say.
+    if serde_json::to_writer(&mut *bytes, &line).is_err() {
+        bytes.truncate(start);
+    } else {
+        bytes.push(b'\n');
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn key(number: u8) -> Key {
+        Key::new([number; 32])
+    }
+
+    fn stages(store: &Store) -> usize {
+        store.history("p", "q").unwrap().stages.len()
+    }
+
+    #[test]
+    fn what_was_noted_is_read_back_latest_first() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).unwrap();
+        let mut history = store.history("p", "q").unwrap();
+        for number in [1, 2, 2, 1] {
+            history.note("a", key(number), &Arc::default()).unwrap();
+        }
+        history.flush().unwrap();
+        let read = store.history("p", "q").unwrap();
+        assert_eq!(read.earlier("a").copied().collect::<Vec<_>>(), [key(1), key(2), key(1)]);
+        assert_eq!(read.earlier("b").count(), 0);
+        assert!(read.outputs(&key(2)).is_some());
+        assert_eq!(store.history("p", "other").unwrap().lines, 0);
+    }
+
+    #[test]
+    fn a_torn_line_costs_only_itself() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).unwrap();
+        let mut history = store.history("p", "q").unwrap();
+        history.note("a", key(1), &Arc::default()).unwrap();
+        history.flush().unwrap();
+        fsx::append(&history.path, b"{\"stage\":\"b\",\"ke").unwrap();
+        assert_eq!(stages(&store), 1);
+        fsx::append(&history.path, b"\n\xff\xfe\n\n").unwrap();
+        let mut history = store.history("p", "q").unwrap();
+        history.note("c", key(3), &Arc::default()).unwrap();
+        history.flush().unwrap();
+        assert_eq!(stages(&store), 2);
+    }
+
+    #[test]
+    fn compaction_keeps_the_last_line_of_each_stage() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).unwrap();
+        let mut history = store.history("p", "q").unwrap();
+        for round in 0..100 {
+            for stage in ["a", "b"] {
+                history.note(stage, key(round), &Arc::default()).unwrap();
+            }
+        }
+        history.compact().unwrap();
+        let read = store.history("p", "q").unwrap();
+        assert_eq!(read.lines, 2);
+        assert_eq!(read.earlier("b").next(), Some(&key(99)));
+    }
+}

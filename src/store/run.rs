@@ -1,0 +1,172 @@
+//! One run's own places in the store: its folder with manifest, events and logs, and a private folder for what is not
+//! finished. The private folder of a run that died is removed by the next one.
+
+use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use serde_json::Value;
+
+use super::{Store, StoreError};
+use crate::fsx::{self, Lock};
+
+/// Folders that a run needs; those for blobs and records are made as they fill.
+const FOLDERS: [&str; 3] = ["locks-v1", "checkpoints-v1", "tmp"];
+
+/// A run that is going on.
+#[derive(Debug)]
+pub struct Run {
+    folder: PathBuf,
+    temporary: PathBuf,
+    lock: Option<Lock>,
+}
+
+impl Store {
+    /// Begins a run: makes its folders, writes its manifest, and removes what dead runs left.
+    ///
+    /// # Errors
+    /// The store cannot be written.
+    pub fn begin_run(&self, manifest: &Value) -> Result<Run, StoreError> {
+        for folder in FOLDERS {
+            fsx::create_dir_all(&self.root().join(folder))?;
+        }
+        let id = run_id(SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default(), std::process::id());
+        let folder = self.root().join("runs-v1").join(&id);
+        fsx::create_dir_all(&folder.join("logs"))?;
+        fsx::write(&folder.join("run.json"), manifest.to_string().as_bytes())?;
+        let tmp = self.root().join("tmp");
+        let temporary = tmp.join(&id);
+        // Whoever makes or removes a private folder holds the gate: else a new folder could be taken for a dead one
+        // before its lock is there.
+        let gate = Lock::acquire(&tmp.join("gate"))?;
+        remove_dead(&tmp);
+        let lock = Lock::try_acquire(&lock_path(&temporary))?;
+        fsx::create_dir(&temporary)?;
+        drop(gate);
+        Ok(Run { folder, temporary, lock })
+    }
+}
+
+impl Run {
+    /// Its folder, which stays: `run.json`, `events.jsonl`, `logs/`.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// Its private folder, which goes with it.
+    pub fn temporary(&self) -> &Path {
+        &self.temporary
+    }
+
+    /// The log of a stage; `stem` is made fit for a file name.
+    pub fn log(&self, stem: &str) -> PathBuf {
+        let name: String = stem
+            .chars()
+            .map(|c| if c.is_alphanumeric() || "._-".contains(c) { c } else { '_' })
+            .take(60)
+            .collect();
+        self.folder.join("logs").join(format!("{name}.log"))
+    }
+
+    /// Appends lines to the run's events.
+    ///
+    /// # Errors
+    /// They cannot be written.
+    pub fn append_events(&self, lines: &[u8]) -> Result<(), StoreError> {
+        Ok(fsx::append(&self.folder.join("events.jsonl"), lines)?)
+    }
+}
+
+impl Drop for Run {
+    fn drop(&mut self) {
+        // What cannot be removed now is removed by the next run.
+        if fsx::remove_dir_all(&self.temporary).is_ok()
+            && let Some(lock) = self.lock.take()
+        {
+            let _ = lock.remove();
+        }
+    }
+}
+
+fn lock_path(temporary: &Path) -> PathBuf {
+    let mut path = temporary.as_os_str().to_owned();
+    path.push(".lock");
+    path.into()
+}
+
+/// Removes private folders whose owner is dead. Another user's, or one into which a dying stage still writes, may
+/// refuse; the next run tries again.
+fn remove_dead(tmp: &Path) {
+    let Ok(entries) = fsx::list(tmp) else { return };
+    for path in entries {
+        let owner = if path.extension().is_some_and(|ending| ending == "lock") {
+            path.with_extension("")
+        } else {
+            path.clone()
+        };
+        if owner.file_name().is_none_or(|name| name == "gate") {
+            continue;
+        }
+        if let Ok(Some(lock)) = Lock::try_acquire(&lock_path(&owner))
+            && fsx::remove_dir_all(&owner).is_ok()
+        {
+            let _ = lock.remove();
+        }
+    }
+}
+
+/// A name that sorts by time: `20261122-034512-123456789-4711` (UTC, nanoseconds, process).
+fn run_id(since_1970: std::time::Duration, process: u32) -> String {
+    let seconds = since_1970.as_secs();
+    let (year, month, day) = civil(seconds / 86_400);
+    let (hour, minute, second) = (seconds / 3600 % 24, seconds / 60 % 60, seconds % 60);
+    let nanos = since_1970.subsec_nanos();
+    format!("{year:04}{month:02}{day:02}-{hour:02}{minute:02}{second:02}-{nanos:09}-{process}")
+}
+
+/// Year, month and day of a day counted from 1970-01-01 (H. Hinnant, "chrono-compatible low-level date algorithms").
+fn civil(days: u64) -> (u64, u64, u64) {
+    let shifted = days + 719_468;
+    let (era, day_of_era) = (shifted / 146_097, shifted % 146_097);
+    let year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
+    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let month_from_march = (5 * day_of_year + 2) / 153;
+    let day = day_of_year - (153 * month_from_march + 2) / 5 + 1;
+    let month = if month_from_march < 10 { month_from_march + 3 } else { month_from_march - 9 };
+    (era * 400 + year_of_era + u64::from(month <= 2), month, day)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+
+    #[test]
+    fn run_names_carry_the_date_in_utc() {
+        for (seconds, start) in [
+            (0, "19700101-000000-000000000-7"),
+            (951_782_400, "20000229-000000-"),
+            (1_709_210_096, "20240229-123456-"),
+            (1_798_761_599, "20261231-235959-"),
+        ] {
+            let id = run_id(Duration::from_secs(seconds), 7);
+            assert!(id.starts_with(start), "{id}");
+        }
+    }
+
+    #[test]
+    fn a_new_run_removes_what_a_dead_one_left_and_nothing_of_a_living_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).unwrap();
+        let living = store.begin_run(&Value::Null).unwrap();
+        let dead = folder.path().join("tmp/20200101-000000-000000000-1");
+        fsx::create_dir_all(&dead.join("half")).unwrap();
+        fsx::write(&lock_path(&dead), b"").unwrap();
+        let next = store.begin_run(&Value::Null).unwrap();
+        assert_eq!(fsx::entry(&dead).unwrap(), None);
+        assert_eq!(fsx::entry(&lock_path(&dead)).unwrap(), None);
+        assert_eq!(fsx::entry(living.temporary()).unwrap(), Some(fsx::Entry::Folder));
+        drop((living, next));
+        assert_eq!(fsx::list(&folder.path().join("tmp")).unwrap(), [folder.path().join("tmp/gate")]);
+    }
+}

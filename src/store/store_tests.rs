@@ -1,0 +1,101 @@
+//! The store by itself, without stages.
+
+use serde_json::{Value, json};
+
+use super::*;
+use crate::fsx;
+
+/// A record as version 1 writes it. A failure of the tests that read it means that users lose their caches.
+const RECORD_V1: &str = include_str!("../../tests/it/formats/record-v1.json");
+
+fn store() -> (tempfile::TempDir, Store) {
+    let folder = tempfile::tempdir().unwrap();
+    let store = Store::open(&folder.path().join("store")).unwrap();
+    (folder, store)
+}
+
+fn sample() -> Record {
+    let stored =
+        |text: &str| Stored { digest: Digest::of(text.as_bytes()), bytes: 3, extension: "txt".into() };
+    let item = |from: &str, labels: &[(&str, &str)]| RecordItem {
+        from: from.into(),
+        labels: labels.iter().map(|(axis, value)| ((*axis).into(), (*value).into())).collect(),
+        digest: Digest::of(from.as_bytes()),
+    };
+    let input = |port: &str, many, items| RecordInput { port: port.into(), many, items };
+    Record {
+        version: 1,
+        stage: "dril[policy=beta]".into(),
+        kind: "dril".into(),
+        revision: 2,
+        params: json!({"rate": 2.5e-4, "steps": 3, "env": {"car-racing": {"version": "v0"}}, "none": null}),
+        seed: Some(u64::MAX),
+        inputs: vec![
+            input("policy", false, vec![item("clone[policy=beta].policy", &[])]),
+            input("scores", true, vec![item("file a b.csv", &[("name", "ü"), ("seed", "1")])]),
+        ],
+        outputs: [("final".to_owned(), stored("abc")), ("peak".to_owned(), stored("abd"))].into(),
+        seconds: 12.5,
+        fingerprint: Fingerprint { tool: "0.1.0".into(), platform: "linux x86_64".into() },
+    }
+}
+
+#[test]
+fn a_record_of_version_1_is_read_and_written_for_ever() {
+    let read: Record = serde_json::from_str(RECORD_V1).unwrap();
+    assert_eq!(read, sample());
+    assert_eq!(serde_json::to_string(&sample()).unwrap(), RECORD_V1.trim_end());
+}
+
+#[test]
+fn a_committed_record_is_found_and_a_foreign_one_is_damaged() {
+    let (_folder, store) = store();
+    let run = store.begin_run(&Value::Null).unwrap();
+    let key = Key::new([7; 32]);
+    assert_eq!(store.find(&key).unwrap(), Found::Nothing);
+    store.commit(&key, &sample(), &[], run.temporary()).unwrap();
+    assert_eq!(store.find(&key).unwrap(), Found::Record(Box::new(sample())));
+    for wrong in ["", "{}", "[]", &RECORD_V1[..99], &RECORD_V1.replace("\"version\":1", "\"version\":2")] {
+        fsx::write(&store.record_path(&key), wrong.as_bytes()).unwrap();
+        assert!(matches!(store.find(&key).unwrap(), Found::Damaged(_)), "{wrong}");
+        assert_eq!(store.record(&key).unwrap(), None);
+    }
+}
+
+#[test]
+fn opening_writes_nothing_and_a_file_is_no_store() {
+    let (folder, store) = store();
+    assert_eq!(store.record(&Key::new([0; 32])).unwrap(), None);
+    assert_eq!(fsx::list(folder.path()).unwrap(), [PathBuf::new(); 0]);
+    let file = folder.path().join("file");
+    fsx::write(&file, b"").unwrap();
+    let text = Store::open(&file).unwrap_err().to_string();
+    assert_eq!(text, format!("the store `{}` is not a folder", file.display()));
+}
+
+#[test]
+fn equal_contents_are_stored_once() {
+    let (_folder, store) = store();
+    let run = store.begin_run(&Value::Null).unwrap();
+    let digests = ["one", "two"].map(|name| {
+        let path = run.temporary().join(name);
+        fsx::write(&path, b"same").unwrap();
+        let blob = store.take(&path).unwrap();
+        blob.sync().unwrap();
+        (blob.digest, blob.bytes)
+    });
+    assert_eq!(digests, [(Digest::of(b"same"), 4); 2]);
+    assert_eq!(fsx::read(&store.blob_path(&digests[0].0)).unwrap(), b"same");
+}
+
+#[test]
+fn a_key_is_locked_by_one_at_a_time() {
+    let (_folder, store) = store();
+    let _run = store.begin_run(&Value::Null).unwrap();
+    let (key, other) = (Key::new([1; 32]), Key::new([2; 32]));
+    let lock = store.try_lock(&key).unwrap().unwrap();
+    assert!(store.try_lock(&key).unwrap().is_none());
+    assert!(store.try_lock(&other).unwrap().is_some());
+    lock.remove().unwrap();
+    assert!(store.try_lock(&key).unwrap().is_some());
+}
