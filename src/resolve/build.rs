@@ -45,6 +45,9 @@ fn connect(world: &World<'_>, stages: &[Expanded<'_>], filler: &mut Filler<'_>) 
             let connected = instance.as_ref().map(|instance| wirer.connect(stage, number, instance));
             wires.push(connected.unwrap_or_default());
         }
+        if stage.instances.iter().all(Option::is_none) {
+            wirer.look_over(stage);
+        }
     }
     wires
 }

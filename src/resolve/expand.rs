@@ -270,7 +270,14 @@ fn instance_of(
             Some(Instance { params, ports, needs, seed })
         }
         Err(found) => {
-            for problem in &found {
+            // A field that was set aside may leave its parent wrong; that is no news.
+            let echo = |at: usize| {
+                let path = &found[at].path;
+                found[..at]
+                    .iter()
+                    .any(|earlier| earlier.path.len() > path.len() && earlier.path.starts_with(path))
+            };
+            for problem in (0..found.len()).filter(|at| !echo(*at)).map(|at| &found[at]) {
                 filler.problems.add(|| params::explain(problem, &with, &stage.name.text, whole));
             }
             None
@@ -299,6 +306,7 @@ fn with(layers: &[&Node], scope: &Scope<'_>, filler: &mut Filler<'_>) -> Option<
                             ),
                         )
                         .maybe_related(node.via, "used here")
+                        .hint("write `with: { field: value }`")
                     });
                 }
             },

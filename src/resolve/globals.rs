@@ -72,7 +72,7 @@ fn references(layers: &[&Node], params: &HashMap<&str, usize>) -> Vec<(usize, Sp
                     |path: &template::Path<'_>| path.text.split('.').next().and_then(|name| params.get(name));
                 found.extend(paths.iter().filter_map(first).map(|at| (*at, node.span)));
             }
-            Value::Null | Value::Bool(_) | Value::Number(..) => {}
+            Value::Null | Value::Bool(_) | Value::Number(..) | Value::Broken => {}
         }
     }
     found

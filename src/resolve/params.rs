@@ -10,7 +10,7 @@ use crate::spec::source::Span;
 /// The value without its places.
 pub(super) fn to_json(node: &Node) -> Json {
     match &node.value {
-        Value::Null => Json::Null,
+        Value::Null | Value::Broken => Json::Null,
         Value::Bool(value) => Json::Bool(*value),
         Value::Number(number, _) => Json::Number(number.clone()),
         Value::Text(text) => Json::String(text.to_string()),
@@ -34,6 +34,10 @@ pub(super) fn explain(found: &ParamProblem, with: &Node, stage: &str, whole: Spa
         }
         _ => (format!("stage `{stage}`{}: {words}", inside(words, &found.path)), None),
     };
+    if let Some(problem) = several(found, &reached, stage) {
+        return problem;
+    }
+    let better = better.or_else(|| missing(words));
     let at = unknown.map_or_else(|| reached.place(whole), |key| key.span);
     let used = reached.node.via.filter(|_| at == reached.node.span);
     Problem::new(at, message).maybe_hint(found.hint.clone().or(better)).maybe_related(used, "used here")
@@ -106,7 +110,8 @@ fn plain_words(text: &str, node: &Node) -> (String, Option<String>) {
         "a boolean" => ("`true` or `false`", boolean(node)),
         "a string" => ("a text", scalar(node)),
         "a sequence" => ("a list", None),
-        "map with a single key" => ("a map with one key", several(node)),
+        "string or map" => ("a name, or a map with one name in it", None),
+        "map with a single key" => ("a map with one name in it", None),
         other if other.starts_with("struct ") || other == "a map" => ("a map of fields", None),
         other => (other, None),
     };
@@ -149,11 +154,27 @@ fn scalar(node: &Node) -> Option<String> {
     node.scalar_text().map(|text| format!("write it in quotes: `\"{text}\"`"))
 }
 
-fn several(node: &Node) -> Option<String> {
-    let Value::Map(entries) = &node.value else { return None };
-    let several = entries.len() > 1;
-    several.then(|| {
-        "maps of defaults, stage and profile are merged; write `!replace { ... }` for one that is not"
-            .to_owned()
-    })
+/// Two alternatives in one place: usually one of them came by merging.
+fn several(found: &ParamProblem, reached: &Reached<'_>, stage: &str) -> Option<Problem> {
+    let Value::Map(entries) = &reached.node.value else { return None };
+    let ([first, .., last], true) = (entries.as_slice(), found.message.contains("map with a single key"))
+    else {
+        return None;
+    };
+    let path = found.path.join(".");
+    let message = format!(
+        "stage `{stage}`: `{path}` is both `{}` and `{}`, expected one of them",
+        first.0.text, last.0.text
+    );
+    let problem = Problem::new(last.0.span, message).maybe_related(Some(first.0.span), "the other");
+    Some(
+        problem.hint(
+            "the maps of defaults, stage and profile are merged; one written as `!replace { ... }` is not",
+        ),
+    )
+}
+
+fn missing(words: &str) -> Option<String> {
+    let name = words.strip_prefix("missing field `")?.strip_suffix('`')?;
+    Some(format!("add `{name}: ...`; it has no default"))
 }

@@ -11,8 +11,11 @@ use crate::spec::problem::{Problem, Problems};
 use crate::spec::source::{Sources, Span};
 use crate::spec::suggest;
 
-/// Values that references may create in all: a few lines of `$a` inside `$b` could ask for more than there are atoms.
-const MAX_VALUES: usize = 5_000_000;
+/// Values in one param, or in the parameters of one instance: a few lines of `$a` inside `$b` could ask for more than
+/// there are atoms.
+const MAX_HERE: usize = 100_000;
+/// Values in the parameters of all instances together.
+const MAX_TOTAL: usize = 10_000_000;
 /// The longest text that `${...}` may put together, in bytes.
 const MAX_TEXT: usize = 1 << 16;
 
@@ -39,7 +42,9 @@ pub(super) struct Scope<'a> {
 pub(super) struct Filler<'p> {
     pub sources: &'p Sources,
     pub problems: &'p mut Problems,
-    values: usize,
+    /// Values made so far, in all and for the value being filled.
+    total: usize,
+    here: usize,
 }
 
 /// A name that gives no value.
@@ -54,7 +59,7 @@ enum Miss {
 }
 
 impl<'a> Scope<'a> {
-    fn get(&self, path: &str, at: Span) -> Result<Node, Miss> {
+    fn get(&self, path: &str, at: Span) -> Result<Cow<'a, Node>, Miss> {
         let mut names = path.split('.');
         let first = names.next().unwrap_or_default();
         let axis = self.axes.iter().find(|(name, _)| *name == first);
@@ -65,11 +70,16 @@ impl<'a> Scope<'a> {
             }),
             None => self.global(first, at)?,
         };
-        let mut node = &*base;
+        let Cow::Borrowed(mut node) = base else {
+            return match names.next() {
+                Some(name) => field(&base, name, path).map(|node| Cow::Owned(node.clone())),
+                None => Ok(base),
+            };
+        };
         for name in names {
             node = field(node, name, path)?;
         }
-        Ok(node.clone())
+        Ok(Cow::Borrowed(node))
     }
 
     fn global(&self, name: &str, at: Span) -> Result<Cow<'a, Node>, Miss> {
@@ -134,12 +144,19 @@ fn field<'n>(node: &'n Node, name: &str, path: &str) -> Result<&'n Node, Miss> {
 impl<'p> Filler<'p> {
     /// Reports to `problems`.
     pub fn new(sources: &'p Sources, problems: &'p mut Problems) -> Self {
-        Self { sources, problems, values: 0 }
+        Self { sources, problems, total: 0, here: 0 }
     }
 
     /// `node` with every `$` replaced; `None` where one cannot be, which is reported.
     pub fn fill(&mut self, node: &Node, scope: &Scope<'_>) -> Option<Node> {
+        self.here = 0;
         self.fill_at(node, scope, 0)
+    }
+
+    /// The value of a path that stands at `at`; `None` where there is none, which is reported.
+    pub fn value(&mut self, path: &Path<'_>, at: Span, scope: &Scope<'_>) -> Option<Node> {
+        self.here = 0;
+        self.get(path, at, scope, 0)
     }
 
     fn fill_at(&mut self, node: &Node, scope: &Scope<'_>, depth: usize) -> Option<Node> {
@@ -158,6 +175,7 @@ impl<'p> Filler<'p> {
                     .collect();
                 Value::Map(filled.into_iter().collect::<Option<_>>()?)
             }
+            Value::Broken => return None,
             scalar => scalar.clone(),
         };
         Some(Node { value, ..node.shell() })
@@ -168,19 +186,7 @@ impl<'p> Filler<'p> {
             Ok(Template::Plain) => Some(node.clone()),
             Ok(Template::Exact(path)) => {
                 let at = self.part(node, text, &path);
-                let found = self.get(&path, at, scope)?;
-                self.count(found.size(), node.span)?;
-                if depth + found.depth() > MAX_DEPTH {
-                    self.problems.add(|| {
-                        Problem::new(
-                            node.span,
-                            format!("with this value, lists and maps are more than {MAX_DEPTH} deep"),
-                        )
-                        .hint("no pipeline needs that; do the params hold each other?")
-                    });
-                    return None;
-                }
-                Some(found.brought_in(at))
+                Some(self.get(&path, at, scope, depth)?.brought_in(at))
             }
             Ok(Template::Mixed(pieces)) => {
                 let text = self.join(&pieces, text, node, scope)?;
@@ -205,10 +211,22 @@ impl<'p> Filler<'p> {
         }
     }
 
-    /// The value of a path that stands at `at`.
-    pub fn get(&mut self, path: &Path<'_>, at: Span, scope: &Scope<'_>) -> Option<Node> {
+    fn get(&mut self, path: &Path<'_>, at: Span, scope: &Scope<'_>, depth: usize) -> Option<Node> {
         match scope.get(path.text, at) {
-            Ok(node) => Some(node),
+            Ok(node) => {
+                // Before it is copied.
+                self.count(node.size(), at)?;
+                if depth + node.depth() > MAX_DEPTH {
+                    self.problems.add(|| {
+                        let message =
+                            format!("with this value, lists and maps are more than {MAX_DEPTH} deep");
+                        Problem::new(at, message)
+                            .hint("no pipeline needs that; do the params hold each other?")
+                    });
+                    return None;
+                }
+                Some(node.into_owned())
+            }
             Err(Miss::Broken) => None,
             Err(Miss::Unknown { message, hint, related }) => {
                 self.problems.add(|| Problem::new(at, message).maybe_related(related, "here").hint(hint));
@@ -240,7 +258,7 @@ impl<'p> Filler<'p> {
 
     fn scalar(&mut self, path: &Path<'_>, whole: &str, node: &Node, scope: &Scope<'_>) -> Option<Arc<str>> {
         let at = self.part(node, whole, path);
-        let found = self.get(path, at, scope)?;
+        let found = self.get(path, at, scope, 0)?;
         let text = found.scalar_text();
         if text.is_none() {
             self.problems.add(|| {
@@ -279,16 +297,29 @@ impl<'p> Filler<'p> {
     }
 
     fn count(&mut self, values: usize, at: Span) -> Option<()> {
-        self.values = self.values.saturating_add(values);
-        if self.values > MAX_VALUES {
-            self.problems.add(|| {
-                Problem::new(at, format!("the pipeline's parameters come to more than {MAX_VALUES} values"))
-                    .hint(
-                        "are there too many stage instances, or params that hold each other many times over?",
-                    )
-            });
-            return None;
+        let fits = |sum: usize, limit: usize| sum <= limit;
+        let (here, total) = (self.here, self.total);
+        self.here = here.saturating_add(values);
+        self.total = total.saturating_add(values);
+        if fits(self.here, MAX_HERE) && fits(self.total, MAX_TOTAL) {
+            return Some(());
         }
-        Some(())
+        // Said once, where it happens; what follows from it is no news.
+        if fits(here, MAX_HERE) && fits(total, MAX_TOTAL) {
+            self.problems.add(|| {
+                let problem = if fits(self.here, MAX_HERE) {
+                    Problem::new(
+                        at,
+                        format!("the parameters of all stages come to more than {MAX_TOTAL} values"),
+                    )
+                } else {
+                    Problem::new(at, format!("with this, the value has more than {MAX_HERE} parts"))
+                };
+                problem.hint(
+                    "are there too many stage instances, or params that hold each other many times over?",
+                )
+            });
+        }
+        None
     }
 }

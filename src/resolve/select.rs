@@ -58,8 +58,9 @@ pub(super) fn instances(
             Err(problem) => problems.push(problem),
         }
     }
-    if !open.is_empty() {
-        problems.push(unaddressed(producer, &open, consumer, at));
+    // A misspelt axis leaves the one that was meant open; that is no news.
+    if !open.is_empty() && problems.is_empty() {
+        problems.push(unaddressed(producer, &open, !chosen.is_empty(), consumer, at));
     }
     if problems.is_empty() { Ok(product(producer.axes(), &allowed)) } else { Err(problems) }
 }
@@ -123,7 +124,13 @@ fn no_value(axis: &Axis, producer: &Expanded<'_>, label: &str, at: Span) -> Prob
         .hint(suggest::hint(&label, "its values", axis.values.iter().map(|value| &*value.label)))
 }
 
-fn unaddressed(producer: &Expanded<'_>, open: &[&Axis], consumer: &Consumer<'_>, at: Span) -> Problem {
+fn unaddressed(
+    producer: &Expanded<'_>,
+    open: &[&Axis],
+    more: bool,
+    consumer: &Consumer<'_>,
+    at: Span,
+) -> Problem {
     let names: Vec<String> = open.iter().map(|axis| format!("`{}`", axis.name)).collect();
     let example: Vec<String> =
         open.iter().map(|axis| format!("{}={}", axis.name, axis.values[0].label)).collect();
@@ -135,8 +142,9 @@ fn unaddressed(producer: &Expanded<'_>, open: &[&Axis], consumer: &Consumer<'_>,
         producer.name()
     );
     let hint = format!(
-        "choose, as in `{}[{}]`, or add {} to the matrix of `{}`",
+        "choose, as in `{}[{}{}]`, or add {} to the matrix of `{}`",
         producer.name(),
+        if more { "..., " } else { "" },
         example.join(", "),
         names.join(" and "),
         consumer.stage

@@ -85,7 +85,7 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
                 continue;
             };
             let consumer = Consumer { stage: stage.name(), input, coordinates: &coordinates };
-            let at = if node.span.source == key.span.source { key.span } else { node.span };
+            let at = if node.span.is_empty() { key.span } else { node.span };
             let mut connection = Connection { consumer, scope: &scope, at, found: Vec::new(), broken: false };
             self.fill_input(node, &mut connection);
             if let Some(wire) = self.wire(connection) {
@@ -96,6 +96,29 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
             self.missing(stage, &missing);
         }
         wires
+    }
+
+    /// For an instance that is broken itself: whether the stages that it names exist.
+    pub fn look_over(&mut self, stage: &'a Expanded<'a>) {
+        let mut open: Vec<&Node> = stage.inputs.iter().map(|(_, node)| *node).collect();
+        while let Some(node) = open.pop() {
+            match &node.value {
+                Value::List(items) => open.extend(items),
+                Value::Map(entries) => {
+                    open.extend(entries.iter().filter(|(key, _)| &*key.text != "file").map(|(_, node)| node));
+                }
+                Value::Text(text) if !text.contains('$') => {
+                    let item = Item { name: None, node: node.clone(), what: What::Stage(text.to_string()) };
+                    if let Ok(reference) = reference::parse(text)
+                        && !self.by_name.contains_key(reference.stage.text)
+                    {
+                        let problem = self.unknown_stage(&reference, text, &item);
+                        self.filler.problems.add(|| problem);
+                    }
+                }
+                _ => {}
+            }
+        }
     }
 
     /// The wirings by the input that they are for; a misspelt name is reported and taken for the one that was meant.
@@ -186,6 +209,7 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
                     .iter()
                     .for_each(|(key, node)| self.items(node, Some(&key.text), literal, connection, items));
             }
+            Value::Broken => connection.broken = true,
             _ => self.not_a_wiring(node, connection),
         }
     }
@@ -201,7 +225,7 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
     ) {
         if !literal && let Ok(Template::Exact(path)) = template::parse(text, Lone::Keep) {
             let at = self.filler.within(node, text, path.range.clone());
-            return match self.filler.get(&path, at, connection.scope) {
+            return match self.filler.value(&path, at, connection.scope) {
                 Some(value) => self.items(&value.brought_in(at), name, true, connection, items),
                 None => connection.broken = true,
             };
@@ -306,7 +330,8 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
         let reference = reference::parse(text).map_err(|bad| {
             let at = self.filler.within(&item.node, text, bad.range);
             let shown = crate::spec::node::shorten(text);
-            vec![Problem::new(at, format!("`{shown}` is no wiring: {}", bad.message)).hint(reference::FORM)]
+            let problem = Problem::new(at, format!("`{shown}` is no wiring: {}", bad.message));
+            vec![problem.maybe_hint(file_hint(text)).hint(reference::FORM)]
         })?;
         let Some(&at) = self.by_name.get(reference.stage.text) else {
             return Err(vec![self.unknown_stage(&reference, text, item)]);
@@ -350,15 +375,7 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
         let problem = Problem::new(at, format!("there is no stage `{name}`"));
         let known = self.stages.iter().map(Expanded::name);
         let problem = problem.hint(suggest::hint(reference.stage.text, "the stages", known));
-        if text.contains(['/', '\\'])
-            || reference.output.as_ref().is_some_and(|output| ["csv", "md", "yaml"].contains(&output.text))
-        {
-            return problem.hint(format!(
-                "a file from outside is written as `{{ file: {} }}`",
-                crate::spec::node::shorten(text)
-            ));
-        }
-        problem
+        problem.maybe_hint(file_hint(text))
     }
 
     /// The selectors with the values of their `$name`s.
@@ -399,7 +416,7 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
         at: Span,
         connection: &Connection<'_>,
     ) -> Option<Vec<(String, Span)>> {
-        let node = self.filler.get(path, at, connection.scope)?;
+        let node = self.filler.value(path, at, connection.scope)?;
         let items =
             if let Value::List(items) = &node.value { items.as_slice() } else { std::slice::from_ref(&node) };
         let labels: Option<Vec<(String, Span)>> =
@@ -454,6 +471,15 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
         }
         Some(Wire { port: input.name, many, sources: found })
     }
+}
+
+/// For a text that looks like a path.
+fn file_hint(text: &str) -> Option<String> {
+    let looks = text.contains(['/', '\\'])
+        || [".csv", ".json", ".yaml", ".txt"].iter().any(|end| text.ends_with(end));
+    looks.then(|| {
+        format!("a file from outside is written as `{{ file: {} }}`", crate::spec::node::shorten(text))
+    })
 }
 
 fn name_label(item: &Item, connection: &Connection<'_>) -> Labels {

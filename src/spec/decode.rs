@@ -10,7 +10,7 @@ use super::SourceName;
 use super::layer::{self, Known};
 use super::model::{Defaults, Entries, Layer, MatrixAxis, Profile, Spec, Stage};
 use super::names;
-use super::node::{Key, Node, Value};
+use super::node::{Key, Node, UNUSABLE, Value};
 use super::problem::{Problem, Problems};
 use super::source::{Source, Span};
 use super::suggest;
@@ -72,11 +72,16 @@ impl Fields {
 /// The entries of a map; of nothing, none; anything else is reported.
 pub(super) fn entries(node: Node, what: &str, problems: &mut Problems) -> Vec<(Key, Node)> {
     match node.value {
-        Value::Map(entries) => entries,
-        Value::Null => Vec::new(),
+        Value::Map(mut entries) => {
+            entries.retain(|(key, _)| &*key.text != UNUSABLE);
+            entries
+        }
+        Value::Null | Value::Broken => Vec::new(),
         _ => {
-            problems
-                .add(|| Problem::new(node.span, format!("{what} is {}, expected a map", node.describe())));
+            problems.add(|| {
+                Problem::new(node.span, format!("{what} is {}, expected a map", node.describe()))
+                    .hint("a map is written as `{ name: value }`, or with one `name: value` a line")
+            });
             Vec::new()
         }
     }
@@ -146,9 +151,19 @@ fn stages(field: Option<(Key, Node)>, at: Span, problems: &mut Problems) -> Vec<
         });
         return Vec::new();
     };
-    let wrong = !matches!(node.value, Value::Map(_) | Value::Null);
+    if let Value::List(_) = &node.value {
+        problems.add(|| {
+            Problem::new(node.span, "`stages` is a list, expected a map")
+                .hint("each stage stands under its name, without `-`, as in `my-stage: { kind: ... }`")
+        });
+        return Vec::new();
+    }
+    let empty = match &node.value {
+        Value::Map(entries) => entries.is_empty(),
+        other => matches!(other, Value::Null),
+    };
     let entries = entries(node, "`stages`", problems);
-    if entries.is_empty() && !wrong {
+    if empty {
         problems.add(|| {
             Problem::new(key.span, "the pipeline has no stages, expected at least one")
                 .hint("`dril-pipe kinds` lists the kinds of stages that there are")
@@ -169,7 +184,15 @@ fn stage(name: Key, node: Node, problems: &mut Problems) -> Option<Stage> {
     if !identifier(&name, "stage", problems) {
         return None;
     }
-    let mut fields = Fields::read(node, &STAGE, &format!("stage `{}`", name.text), problems);
+    let what = format!("stage `{}`", name.text);
+    if !matches!(node.value, Value::Map(_) | Value::Null) {
+        problems.add(|| {
+            Problem::new(node.span, format!("{what} is {}, expected a map", node.describe()))
+                .hint(format!("write `{}: {{ kind: ... }}`", name.text))
+        });
+        return None;
+    }
+    let mut fields = Fields::read(node, &STAGE, &what, problems);
     let kind = stage_kind(&name, fields.take("kind"), problems);
     if let Some((key, about)) = fields.take("about")
         && !matches!(about.value, Value::Text(_))

@@ -69,7 +69,8 @@ impl Place {
         let at = self.position.map(|(line, column)| format!(":{line}:{column}")).unwrap_or_default();
         writeln!(f, "{:gutter$}{arrow} {}{at}", "", self.source)?;
         writeln!(f, "{:gutter$} |", "")?;
-        writeln!(f, "{:>gutter$} | {}", self.line_number(), self.text)?;
+        let line = format!("{:>gutter$} | {}", self.line_number(), self.text);
+        writeln!(f, "{}", line.trim_end())?;
         let marks = caret.repeat(self.width);
         let marks = format!("{:gutter$} | {:indent$}{marks} {}", "", "", self.label, indent = self.indent);
         writeln!(f, "{}", marks.trim_end())
@@ -129,6 +130,10 @@ impl Diagnostics {
             ErrorKind::PermissionDenied => {
                 (format!("`{name}` must not be read: {error}"), "give yourself the right to read it")
             }
+            ErrorKind::InvalidData => (
+                format!("`{name}` is not valid UTF-8, expected a text file"),
+                "save the file as UTF-8 in your editor",
+            ),
             _ => (format!("cannot read `{name}`: {error}"), "give the path of a pipeline file (YAML)"),
         };
         let problem = Diagnostic { message, places: Vec::new(), hints: vec![hint.to_owned()] };

@@ -7,6 +7,9 @@ use serde_json::Number;
 
 use super::source::Span;
 
+/// The text of a key that could not be read, which was reported; its value is [`Value::Broken`].
+pub(crate) const UNUSABLE: &str = "<<";
+
 /// How deep lists and maps may go. Every walk over a [`Node`] may then recurse.
 pub(crate) const MAX_DEPTH: usize = 64;
 
@@ -38,6 +41,8 @@ pub(crate) enum Value {
     List(Vec<Node>),
     /// A map, in the order of the file, without duplicate keys.
     Map(Vec<(Key, Node)>),
+    /// Something unusable, which was reported: what is made from it is left alone.
+    Broken,
 }
 
 /// A name with its place.
@@ -75,6 +80,7 @@ impl Node {
             Value::Text(text) => format!("the text `{}`", shorten(text)),
             Value::List(_) => "a list".to_owned(),
             Value::Map(_) => "a map".to_owned(),
+            Value::Broken => "unusable".to_owned(),
         }
     }
 
@@ -83,7 +89,7 @@ impl Node {
         match &self.value {
             Value::Bool(value) => Some(if *value { "true".into() } else { "false".into() }),
             Value::Number(_, text) | Value::Text(text) => Some(text.clone()),
-            Value::Null | Value::List(_) | Value::Map(_) => None,
+            Value::Null | Value::List(_) | Value::Map(_) | Value::Broken => None,
         }
     }
 

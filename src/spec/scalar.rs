@@ -17,7 +17,7 @@ pub(super) fn read(text: &str) -> Result<Value, String> {
     }
     let bare = text.strip_prefix(['-', '+']).unwrap_or(text);
     if matches!(bare, ".inf" | ".Inf" | ".INF") || matches!(text, ".nan" | ".NaN" | ".NAN") {
-        return Err(format!("`{text}` is not a finite number"));
+        return Err(format!("found `{text}`, expected a finite number"));
     }
     match number(text, bare)? {
         Some(number) => Ok(Value::Number(number, text.into())),
@@ -26,7 +26,8 @@ pub(super) fn read(text: &str) -> Result<Value, String> {
 }
 
 fn number(text: &str, bare: &str) -> Result<Option<Number>, String> {
-    let beyond = || format!("`{}` does not fit in 64 bits", super::node::shorten(text));
+    let beyond =
+        || format!("found `{}`, expected a whole number of at most 64 bits", super::node::shorten(text));
     for (prefix, radix) in [("0x", 16), ("0o", 8)] {
         // No sign here in the core schema; `from_str_radix` would take one after the prefix, too.
         if let Some(digits) = text.strip_prefix(prefix).filter(|digits| !digits.is_empty()) {
@@ -54,7 +55,7 @@ fn number(text: &str, bare: &str) -> Result<Option<Number>, String> {
     // Rust reads what the schema allows, correctly rounded; only the size may be beyond it.
     match text.parse::<f64>().ok().and_then(Number::from_f64) {
         Some(number) => Ok(Some(number)),
-        None => Err(format!("`{}` is not a finite number", super::node::shorten(text))),
+        None => Err(format!("found `{}`, expected a finite number", super::node::shorten(text))),
     }
 }
 
@@ -89,7 +90,7 @@ mod tests {
             Ok(Value::Bool(value)) => value.to_string(),
             Ok(Value::Number(number, _)) => number.to_string(),
             Ok(Value::Text(text)) => format!("'{text}'"),
-            Ok(Value::List(_) | Value::Map(_)) => unreachable!(),
+            Ok(other) => panic!("{other:?}"),
             Err(message) => format!("error: {message}"),
         }
     }

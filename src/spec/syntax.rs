@@ -9,6 +9,27 @@ const QUOTE: &str = "a text with `[`, `]`, `{`, `}`, `,`, `#` or `: ` in it is w
 const INDENT: &str = "keys of one map stand in the same column; what belongs to a key stands further right";
 const SPACES: &str = "YAML is indented with spaces; set the editor to insert spaces for tabs";
 
+/// The byte to show for an error that was noticed at `at`: a tab itself, not what follows it.
+pub(super) fn culprit(kind: &ErrorKind, text: &str, at: usize) -> usize {
+    let line = text.get(..at).map_or(0, |before| before.rfind('\n').map_or(0, |newline| newline + 1));
+    match text.get(line..at).and_then(|before| before.find('\t')) {
+        Some(tab) if is_tab(kind) => line + tab,
+        _ => at,
+    }
+}
+
+fn is_tab(kind: &ErrorKind) -> bool {
+    use ErrorKind as E;
+    matches!(
+        kind,
+        E::TabNotAllowed
+            | E::TabInBlockIndentation
+            | E::TabInIndentation
+            | E::TabAtBlockScalarStart
+            | E::TabInPlainScalar
+    )
+}
+
 /// Says what is wrong at `at`.
 pub(super) fn explain(kind: &ErrorKind, at: Span) -> Problem {
     let (message, hints) = words(kind);
@@ -19,11 +40,7 @@ pub(super) fn explain(kind: &ErrorKind, at: Span) -> Problem {
 fn words(kind: &ErrorKind) -> (Option<String>, &'static [&'static str]) {
     use ErrorKind as E;
     let (message, hints): (&str, &'static [&'static str]) = match kind {
-        E::TabNotAllowed
-        | E::TabInBlockIndentation
-        | E::TabInIndentation
-        | E::TabAtBlockScalarStart
-        | E::TabInPlainScalar => ("found a tab, expected spaces", &[SPACES]),
+        _ if is_tab(kind) => ("found a tab, expected spaces", &[SPACES]),
         E::InvalidIndentation
         | E::ExpectedBlockMappingKey
         | E::ExpectedBlockSequenceEntry
@@ -49,7 +66,9 @@ fn words(kind: &ErrorKind) -> (Option<String>, &'static [&'static str]) {
         E::MismatchedFlowCollectionEnd { open, close } => {
             return (Some(format!("found `{close}`, expected the bracket that closes `{open}`")), &[QUOTE]);
         }
-        E::UnclosedQuotedScalar => ("a quote is never closed", &["add the closing quote"]),
+        E::UnclosedQuotedScalar | E::InvalidQuotedScalarIndent | E::DocumentIndicatorInQuotedScalar => {
+            ("a quote is never closed, or a text in quotes goes on here", &["add the closing quote"])
+        }
         E::UnknownAnchor => (
             "found a YAML alias `*name` without an anchor `&name` before it",
             &[

@@ -7,7 +7,7 @@ use std::collections::HashMap;
 
 use serde_saphyr::granit_parser::{self, Event, Parser, ScalarStyle, Tag};
 
-use super::node::{Key, MAX_DEPTH, Node, Value};
+use super::node::{Key, MAX_DEPTH, Node, UNUSABLE, Value};
 use super::problem::{Problem, Problems};
 use super::scalar;
 use super::source::Span;
@@ -30,6 +30,7 @@ pub(crate) fn read(text: &str, source: u16, offset: usize, problems: &mut Proble
             Ok(next) => next,
             Err(error) => {
                 let at = error.marker().byte_offset().unwrap_or(text.len());
+                let at = syntax::culprit(error.kind(), text, at);
                 let at = Span::new(source, offset + at..offset + at + 1);
                 loader.problems.add(|| syntax::explain(error.kind(), at));
                 return None;
@@ -50,11 +51,8 @@ struct Frame {
 
 enum Content {
     List(Vec<Node>),
-    Map { entries: Vec<(Key, Node)>, key: Option<MapKey> },
+    Map { entries: Vec<(Key, Node)>, key: Option<Key> },
 }
-
-/// A key waiting for its value; `None` where the key was unusable and reported, and its value is to be dropped.
-type MapKey = Option<Key>;
 
 struct Loader<'p> {
     source: u16,
@@ -84,9 +82,11 @@ impl<'p> Loader<'p> {
         match event {
             Event::DocumentStart(..) => self.document(span)?,
             Event::Scalar(text, style, anchor, tag) => {
-                let replace = self.tag(tag.as_deref(), span, false);
-                let value = self.scalar(&text, style, span);
-                self.attach(Node { replace, ..Node::new(value, span) }, anchor)?;
+                let value = match tag {
+                    Some(tag) => self.foreign_tag(&tag, span),
+                    None => self.scalar(&text, style, span),
+                };
+                self.attach(Node::new(value, span), anchor)?;
             }
             Event::SequenceStart(_, anchor, tag) => {
                 self.open(span, anchor, tag.as_deref(), Content::List(Vec::new()))?;
@@ -120,26 +120,30 @@ impl<'p> Loader<'p> {
         }
         scalar::read(text).unwrap_or_else(|message| {
             self.problems.add(|| {
-                Problem::new(span, format!("{message}, expected a finite number of at most 64 bits"))
-                    .hint("write a number that a parameter can hold, or quote it if a text is meant")
+                Problem::new(span, message)
+                    .hint("write a number that a parameter can hold, or put it in quotes if a text is meant")
             });
-            Value::Null
+            Value::Broken
         })
     }
 
     /// True for `!replace`; other tags are reported.
-    fn tag(&mut self, tag: Option<&Tag>, span: Span, collection: bool) -> bool {
-        let Some(tag) = tag else { return false };
-        if tag.original() == "!replace" && collection {
-            return true;
+    fn tag(&mut self, tag: Option<&Tag>, span: Span) -> bool {
+        let replace = tag.is_some_and(|tag| tag.original() == "!replace");
+        if let Some(tag) = tag.filter(|_| !replace) {
+            self.foreign_tag(tag, span);
         }
+        replace
+    }
+
+    fn foreign_tag(&mut self, tag: &Tag, span: Span) -> Value {
         let name = tag.original();
         self.problems.add(|| {
             Problem::new(span, format!("found the YAML tag `{}`, expected a plain value", super::node::shorten(&name)))
                 .hint("remove the tag; a text that looks like a number is written in quotes")
                 .hint("the only tag is `!replace` before a map or list, which then is not merged with what it overrides")
         });
-        false
+        Value::Broken
     }
 
     fn open(&mut self, span: Span, anchor: usize, tag: Option<&Tag>, content: Content) -> Option<()> {
@@ -147,7 +151,7 @@ impl<'p> Loader<'p> {
             self.too_deep(span);
             return None;
         }
-        let replace = self.tag(tag, span, true);
+        let replace = self.tag(tag, span);
         self.stack.push(Frame { span, anchor, replace, content });
         Some(())
     }
@@ -185,6 +189,7 @@ impl<'p> Loader<'p> {
         let mut kept = Vec::with_capacity(entries.len());
         for (key, node) in entries {
             match first.get(&key.text) {
+                _ if &*key.text == UNUSABLE => kept.push((key, node)),
                 Some(earlier) => self.problems.add(|| {
                     let name = super::node::shorten(&key.text);
                     Problem::new(key.span, format!("found the key `{name}` a second time in one map"))
@@ -238,8 +243,10 @@ impl<'p> Loader<'p> {
         match &mut frame.content {
             Content::List(items) => items.push(node),
             Content::Map { entries, key } => match key.take() {
-                Some(Some(key)) => entries.push((key, node)),
-                Some(None) => {}
+                Some(key) if &*key.text == UNUSABLE => {
+                    entries.push((key, Node { value: Value::Broken, ..node.shell() }));
+                }
+                Some(key) => entries.push((key, node)),
                 None => *key = Some(usable_key(node, self.problems)),
             },
         }
@@ -247,10 +254,11 @@ impl<'p> Loader<'p> {
     }
 }
 
-fn usable_key(node: Node, problems: &mut Problems) -> MapKey {
+fn usable_key(node: Node, problems: &mut Problems) -> Key {
     let text = node.scalar_text();
-    if let Some(text) = text.filter(|text| &**text != "<<") {
-        return Some(Key { text, span: node.via.unwrap_or(node.span) });
+    let span = node.via.unwrap_or(node.span);
+    if let Some(text) = text.filter(|text| &**text != UNUSABLE) {
+        return Key { text, span };
     }
     problems.add(|| match node.value {
         Value::Text(_) => Problem::new(node.span, "found the YAML merge key `<<`, expected a name")
@@ -258,5 +266,5 @@ fn usable_key(node: Node, problems: &mut Problems) -> MapKey {
         _ => Problem::new(node.span, format!("found {} as a key, expected a name", node.describe()))
             .hint("a text with `{`, `[` or `*` in front is written in quotes"),
     });
-    None
+    Key { text: UNUSABLE.into(), span }
 }
