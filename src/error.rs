@@ -138,6 +138,7 @@ impl From<PlanError> for Error {
             PlanError::Store(error) => error.into(),
             files @ PlanError::Files(_) => Self::new(ErrorKind::Pipeline, files)
                 .hint("paths are relative to the folder of the pipeline file"),
+            other => Self::new(ErrorKind::Pipeline, other),
         }
     }
 }

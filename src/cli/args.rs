@@ -20,7 +20,7 @@ Exit codes:
 
 /// Runs pipelines of experiments: a YAML file of typed stages, hashed, cached, and run where something changed
 #[derive(Debug, Parser)]
-#[command(name = "dril-pipe", version, after_help = EXIT_CODES, disable_help_subcommand = true)]
+#[command(name = "dril-pipe", bin_name = "dril-pipe", version, after_help = EXIT_CODES, disable_help_subcommand = true)]
 struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -94,7 +94,7 @@ pub(super) struct RunArgs {
     #[arg(short, long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Threads that stages may keep busy side by side [default: those of the machine]
-    #[arg(short, long, value_name = "N")]
+    #[arg(short, long, value_name = "N", value_parser = at_least_one)]
     pub jobs: Option<NonZeroUsize>,
     /// Seconds between two checkpoints of a long stage
     #[arg(long, value_name = "SECONDS", default_value = "120", value_parser = seconds)]
@@ -128,7 +128,7 @@ pub(super) struct PlanArgs {
 pub(super) struct GraphArgs {
     #[command(flatten)]
     pub pipeline: PipelineArgs,
-    /// The language to print it in
+    /// The language: Graphviz (pipe it into `dot -Tsvg`) or Mermaid (Markdown pages show it)
     #[arg(short, long, value_enum, default_value_t = GraphFormat::Dot)]
     pub format: GraphFormat,
     /// One node for each stage of the file (the default)
@@ -141,9 +141,7 @@ pub(super) struct GraphArgs {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(super) enum GraphFormat {
-    /// Graphviz, as in `dril-pipe graph FILE | dot -Tsvg`
     Dot,
-    /// Mermaid, as Markdown pages show it
     Mermaid,
 }
 
@@ -206,6 +204,10 @@ fn answer(error: &clap::Error, colour: bool) -> Request {
     Request::Answer(text, error.use_stderr(), code)
 }
 
+fn at_least_one(text: &str) -> Result<NonZeroUsize, String> {
+    text.parse().map_err(|_| "expected a whole number, 1 or more".to_owned())
+}
+
 fn seconds(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(seconds) if seconds.is_finite() && seconds >= 0.0 => Ok(seconds),
@@ -243,7 +245,7 @@ mod tests {
 
     #[test]
     fn a_wrong_command_line_ends_in_the_code_for_usage() {
-        for words in ["dril-pipe", "dril-pipe rum a.yaml", "dril-pipe run", "dril-pipe run a.yaml --jobs 0"] {
+        for words in ["dril-pipe", "dril-pipe rum a.yaml", "dril-pipe run"] {
             let Request::Answer(text, true, 2) = read_words(words) else { panic!("{words}") };
             assert!(text.contains("Usage"), "{text}");
         }

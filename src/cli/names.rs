@@ -1,6 +1,6 @@
 //! How several instances of a stage are named in one word: `dril × 8`, `clone[policy=beta] × 4`.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use crate::resolve::{Graph, StageIndex};
 
@@ -39,6 +39,19 @@ impl<'g> Names<'g> {
             .collect();
         let shared = if shared.is_empty() { String::new() } else { format!("[{}]", shared.join(", ")) };
         format!("{}{shared} × {}", first.name, group.len())
+    }
+
+    /// True where both name the same stages, whichever instances.
+    pub fn same_stages(&self, one: &[StageIndex], other: &[StageIndex]) -> bool {
+        one == other || self.stages(one) == self.stages(other)
+    }
+
+    fn stages(&self, instances: &[StageIndex]) -> BTreeSet<&'g str> {
+        instances
+            .iter()
+            .filter_map(|index| self.graph.stages.node_weight(*index))
+            .map(|stage| &*stage.name)
+            .collect()
     }
 
     /// Words for instances of any stages, one a stage, in the order of the file; at most `limit` of them.

@@ -52,27 +52,38 @@ impl Counts {
 }
 
 /// One line of the table.
-#[derive(Debug, PartialEq, Eq)]
-struct Row {
+#[derive(Debug)]
+struct Row<'g> {
     stages: Vec<StageIndex>,
-    stage: String,
+    stage: &'g str,
     verdict: &'static str,
-    why: String,
+    /// What it depends on: stages that will run.
+    causes: Vec<StageIndex>,
+    /// What differs in the stage itself.
+    own: String,
 }
 
 /// The rows: instances of a stage with equal verdict and reasons share one, unless `all` are asked for.
-fn rows(plan: &Plan<'_>, names: &Names<'_>, all: bool) -> Vec<Row> {
-    let mut rows: Vec<Row> = Vec::new();
+fn rows<'g>(plan: &Plan<'g>, names: &Names<'g>, all: bool) -> Vec<Row<'g>> {
+    let mut rows: Vec<Row<'g>> = Vec::new();
     for (index, verdict) in &plan.steps {
         let Some(stage) = plan.graph.stages.node_weight(*index) else { continue };
-        let (verdict, why) = words(verdict, names);
-        if verdict == CACHED && !all {
+        let row = row(*index, &stage.name, verdict);
+        if row.verdict == CACHED && !all {
             continue;
         }
-        let same = |row: &Row| row.stage == *stage.name && row.verdict == verdict && row.why == why;
-        match rows.iter_mut().rev().find(|row| !all && same(row)) {
-            Some(row) => row.stages.push(*index),
-            None => rows.push(Row { stages: vec![*index], stage: stage.name.to_string(), verdict, why }),
+        let alike = |other: &Row<'_>| {
+            (other.stage, other.verdict, &other.own) == (row.stage, row.verdict, &row.own)
+                && names.same_stages(&other.causes, &row.causes)
+        };
+        match rows.iter_mut().rev().find(|other| !all && alike(other)) {
+            Some(other) => {
+                other.stages.extend(row.stages);
+                other.causes.extend(row.causes);
+                other.causes.sort_unstable();
+                other.causes.dedup();
+            }
+            None => rows.push(row),
         }
     }
     rows
@@ -80,17 +91,20 @@ fn rows(plan: &Plan<'_>, names: &Names<'_>, all: bool) -> Vec<Row> {
 
 const CACHED: &str = "cached";
 
-fn words(verdict: &Verdict, names: &Names<'_>) -> (&'static str, String) {
-    match verdict {
-        Verdict::Cached { .. } => (CACHED, String::new()),
-        Verdict::Run { why: reasons, .. } => ("run", why::text(reasons)),
-        Verdict::DependsOn { stages, why: reasons } => {
-            let causes = names.groups(stages, MOST_CAUSES);
-            match why::text(reasons) {
-                own if own.is_empty() => ("depends on", causes),
-                own => ("depends on", format!("{causes}; {own}")),
-            }
-        }
+fn row<'g>(index: StageIndex, stage: &'g str, verdict: &Verdict) -> Row<'g> {
+    let (verdict, causes, own) = match verdict {
+        Verdict::Cached { .. } => (CACHED, Vec::new(), String::new()),
+        Verdict::Run { why: reasons, .. } => ("run", Vec::new(), why::text(reasons)),
+        Verdict::DependsOn { stages, why: reasons } => ("depends on", stages.to_vec(), why::text(reasons)),
+    };
+    Row { stages: vec![index], stage, verdict, causes, own }
+}
+
+fn why_of(row: &Row<'_>, names: &Names<'_>) -> String {
+    match (row.causes.is_empty(), row.own.is_empty()) {
+        (true, _) => row.own.clone(),
+        (false, true) => names.groups(&row.causes, MOST_CAUSES),
+        (false, false) => format!("{}; {}", names.groups(&row.causes, MOST_CAUSES), row.own),
     }
 }
 
@@ -98,7 +112,7 @@ fn table(plan: &Plan<'_>, all: bool, terminal: Terminal) -> String {
     let names = Names::new(plan.graph);
     let rows: Vec<Vec<String>> = rows(plan, &names, all)
         .into_iter()
-        .map(|row| vec![names.group(&row.stages), row.verdict.to_owned(), row.why])
+        .map(|row| vec![names.group(&row.stages), row.verdict.to_owned(), why_of(&row, &names)])
         .collect();
     let paint = |column, cell: String| match (column, cell.trim_end()) {
         (1, "run") => terminal.paint(Style::Notable, &cell),
@@ -126,7 +140,7 @@ fn summary(plan: &Plan<'_>) -> String {
     }
     let mut text = format!("{} to run", count(run, "stage"));
     if depends > 0 {
-        text += &format!(", {depends} behind (cached still where their inputs come out as before)");
+        text += &format!(", {depends} behind them (they run unless their inputs come out as before)");
     }
     text + &format!(", {cached} cached\n")
 }

@@ -51,8 +51,8 @@ pub(super) fn default_folder(graph: &Graph) -> PathBuf {
     Path::new("results").join(format!("{}-{}", graph.pipeline, graph.profile))
 }
 
-/// Brings the folder up to date with the outputs of the stages that are done; `None` where the pipeline makes no
-/// results.
+/// Brings the folder up to date with the outputs of the stages that are done; `None` where there is
+/// nothing to copy and nothing was.
 ///
 /// # Errors
 /// The folder cannot be written, or the store not read.
@@ -64,7 +64,7 @@ pub(super) fn publish<'a>(
 ) -> Result<Option<Published>, Error> {
     let old = read_note(folder)?;
     let wanted = wanted(graph, outputs);
-    if wanted.is_empty() && old.files.is_empty() {
+    if wanted.values().all(|(_, stored)| stored.is_none()) && old.files.is_empty() {
         return Ok(None);
     }
     let mut note = Note {

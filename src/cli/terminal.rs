@@ -169,6 +169,15 @@ pub(super) fn duration(time: Duration) -> String {
     }
 }
 
+/// A time that is only an estimate: `40 s`, `7 min`, `3 h 12 min`, `2 d 4 h`.
+pub(super) fn estimate(time: Duration) -> String {
+    match time.as_secs() {
+        seconds @ 0..100 => format!("{} s", seconds.max(1)),
+        seconds @ 100..3600 => format!("{} min", (seconds + 30) / 60),
+        _ => duration(time),
+    }
+}
+
 /// `1 stage`, `2 stages`.
 pub(super) fn count(number: usize, noun: &str) -> String {
     if number == 1 { format!("1 {noun}") } else { format!("{number} {noun}s") }
@@ -195,6 +204,16 @@ mod tests {
         for (seconds, expected) in cases {
             assert_eq!(told(seconds), expected, "{seconds}");
         }
+    }
+
+    #[test]
+    fn an_estimate_does_not_pretend_to_know_more_than_it_does() {
+        let told = |seconds| estimate(Duration::from_millis(seconds));
+        assert_eq!(
+            [told(300), told(99_900), told(100_000), told(3_570_000)],
+            ["1 s", "99 s", "2 min", "60 min"]
+        );
+        assert_eq!(told(11_520_000), "3 h 12 min");
     }
 
     #[test]

@@ -10,7 +10,29 @@ const LONGEST_VALUE: usize = 48;
 
 /// The reasons in one line.
 pub(super) fn text(reasons: &[Reason]) -> String {
-    reasons.iter().map(one).collect::<Vec<_>>().join(", ")
+    let mut words: Vec<String> = Vec::new();
+    let mut rest = reasons;
+    while let Some((reason, behind)) = rest.split_first() {
+        rest = behind;
+        if let Reason::Input { port, .. } = reason {
+            // A fan-in with many new parts is one reason.
+            let same = |other: &&Reason| matches!(other, Reason::Input { port: other, .. } if other == port);
+            let parts = 1 + behind.iter().take_while(same).count();
+            rest = &behind[parts - 1..];
+            words.push(input(port, reason, parts));
+        } else {
+            words.push(one(reason));
+        }
+    }
+    words.join(", ")
+}
+
+fn input(port: &str, first: &Reason, parts: usize) -> String {
+    let Reason::Input { from, .. } = first else { return String::new() };
+    match parts {
+        1 => format!("input `{port}` differs ({from})"),
+        _ => format!("input `{port}` differs ({from} and {} more)", parts - 1),
+    }
 }
 
 fn one(reason: &Reason) -> String {
@@ -29,26 +51,20 @@ fn one(reason: &Reason) -> String {
         }
         Reason::Revision { old, new } => format!("its kind was revised: {old} -> {new}"),
         Reason::Kind { old, new } => format!("kind: {old} -> {new}"),
-        Reason::Input { port, from } => format!("input `{port}` differs ({from})"),
+        Reason::Input { port, .. } => input(port, reason, 1),
         Reason::Lost { output } => format!("output `{output}` is missing in the store"),
         Reason::Damaged { error } => format!("its record cannot be read ({})", printable(error)),
     }
 }
 
-/// A reason as JSON: `reason` names the sort, the other fields are its own.
+/// A reason as JSON: `because` names the sort, the other fields are its own, parameters with their values as JSON.
 pub(super) fn json(reason: &Reason) -> Value {
-    match reason {
-        Reason::New => json!({ "reason": "new" }),
-        Reason::Param { path, old, new } => {
-            json!({ "reason": "param", "path": path, "old": value(old), "new": value(new) })
-        }
-        Reason::Seed { old, new } => json!({ "reason": "seed", "old": old, "new": new }),
-        Reason::Revision { old, new } => json!({ "reason": "revision", "old": old, "new": new }),
-        Reason::Kind { old, new } => json!({ "reason": "kind", "old": old, "new": new }),
-        Reason::Input { port, from } => json!({ "reason": "input", "port": port, "from": from }),
-        Reason::Lost { output } => json!({ "reason": "lost", "output": output }),
-        Reason::Damaged { error } => json!({ "reason": "damaged", "error": error }),
+    let mut json = json!(reason);
+    if let Reason::Param { old, new, .. } = reason {
+        json["old"] = value(old);
+        json["new"] = value(new);
     }
+    json
 }
 
 /// The value that a reason holds as JSON text; `null` where the parameter was absent.
@@ -69,8 +85,15 @@ mod tests {
             new: Some("100000".into()),
         };
         assert_eq!(text(std::slice::from_ref(&reason)), "total_steps: 2998272 -> 100000");
-        let expected = json!({ "reason": "param", "path": "total_steps", "old": 2_998_272, "new": 100_000 });
+        let expected = json!({ "because": "param", "path": "total_steps", "old": 2_998_272, "new": 100_000 });
         assert_eq!(json(&reason), expected);
+    }
+
+    #[test]
+    fn many_parts_of_a_fan_in_are_one_reason() {
+        let part = |port: &str, from: &str| Reason::Input { port: port.into(), from: from.into() };
+        let reasons = [part("scores", "a"), part("scores", "b"), part("scores", "c"), part("policy", "d")];
+        assert_eq!(text(&reasons), "input `scores` differs (a and 2 more), input `policy` differs (d)");
     }
 
     #[test]

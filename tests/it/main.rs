@@ -2,12 +2,16 @@
 
 mod cache;
 mod cli;
+mod cli_texts;
 mod crash;
 mod exec_order;
 mod fakes;
+mod lab;
 mod parse;
 mod plan;
 mod prop;
 mod resolve;
+mod results;
 mod scenario;
+mod sealed;
 mod tidy;

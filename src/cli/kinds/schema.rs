@@ -45,7 +45,7 @@ fn collect(root: &Value, schema: &Value, prefix: &str, depth: usize, found: &mut
         let path = if prefix.is_empty() { name.clone() } else { format!("{prefix}.{name}") };
         let default = match property.get("default") {
             Some(Value::Null) => "optional".to_owned(),
-            Some(value) => value.to_string(),
+            Some(value) => default_text(value),
             None if required(name) => "required".to_owned(),
             None => "optional".to_owned(),
         };
@@ -54,6 +54,16 @@ fn collect(root: &Value, schema: &Value, prefix: &str, depth: usize, found: &mut
         if depth > 0 {
             collect(root, property, &path, depth - 1, found);
         }
+    }
+}
+
+/// As YAML would have it: a plain word needs no quotes.
+fn default_text(value: &Value) -> String {
+    match value.as_str() {
+        Some(word) if !word.is_empty() && word.chars().all(|c| c.is_alphanumeric() || "-_".contains(c)) => {
+            word.to_owned()
+        }
+        _ => value.to_string(),
     }
 }
 
@@ -108,8 +118,8 @@ fn of_type(root: &Value, schema: &Value, name: &str, depth: usize) -> String {
             None => "list".to_owned(),
         },
         "object" => match schema["properties"].as_object() {
-            // A choice written as a map with one field, as `{ car-racing: … }`.
-            Some(fields) if fields.len() == 1 => {
+            // A choice written as a map with one field that must be there, as `{ car-racing: … }`.
+            Some(fields) if fields.len() == 1 && schema["required"].is_array() => {
                 format!("{{ {}: … }}", fields.keys().next().map_or("", String::as_str))
             }
             _ => "map".to_owned(),

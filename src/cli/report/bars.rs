@@ -9,7 +9,7 @@ use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressState, P
 
 use super::story::{Line, Story};
 use super::{Ending, Reporter};
-use crate::cli::terminal::{Style, Terminal, duration, printable};
+use crate::cli::terminal::{Style, Terminal, cut, duration, estimate, printable};
 use crate::exec::Event;
 use crate::plan::{Plan, Verdict};
 use crate::resolve::{Graph, StageIndex};
@@ -97,16 +97,15 @@ impl<'g> Bars<'g> {
         let Some(live) = &self.live else { return };
         let (settled, total) = self.story.settled();
         let share = settled as f64 / total.max(1) as f64;
-        let mut text = format!("{} {settled}/{total} stages", self.bar(share));
+        let mut text = format!("{settled}/{total} stages");
         let under_way = self.running.iter().map(|(stage, running)| self.cost(*stage) * running.share);
         if let Some(left) = self.work.left(under_way.sum()) {
-            let _ = write!(text, ", about {} left", duration(left));
+            let _ = write!(text, ", about {} left", estimate(left));
         }
-        live.whole.set_message(text);
-    }
-
-    fn bar(&self, share: f64) -> String {
-        bar(share, self.terminal)
+        // Not to the last column: the `^C` that a terminal echoes there would begin a line that nobody clears.
+        let room = self.terminal.width.unwrap_or(80).saturating_sub(bar_width(self.terminal) + 16);
+        let text = cut(&text, room);
+        live.whole.set_message(format!("{} {text}", bar(share, self.terminal)));
     }
 
     fn say(&self, line: Line) {
@@ -120,7 +119,7 @@ impl<'g> Bars<'g> {
 impl Live {
     fn new() -> Self {
         let lines = MultiProgress::with_draw_target(ProgressDrawTarget::stdout());
-        let whole = lines.add(ProgressBar::new_spinner().with_style(style("  {wide_msg}  {time}")));
+        let whole = lines.add(ProgressBar::new_spinner().with_style(style("  {msg}  {time}")));
         whole.enable_steady_tick(TICK);
         Self { lines, whole }
     }
@@ -137,7 +136,7 @@ impl Running {
             format!("{id}  {step} {unit}")
         };
         if let Some(left) = time_left(since.elapsed(), from, *step, *total) {
-            let _ = write!(text, "  {} left", duration(left));
+            let _ = write!(text, "  {} left", estimate(left));
         }
         if !note.is_empty() {
             let _ = write!(text, "  {}", terminal.paint(Style::Quiet, &printable(note).replace('\n', " ")));
@@ -167,9 +166,13 @@ fn time_left(took: Duration, from: u64, step: u64, total: u64) -> Option<Duratio
     Duration::try_from_secs_f64(took.as_secs_f64() * open / made).ok()
 }
 
+fn bar_width(terminal: Terminal) -> usize {
+    if terminal.width.is_some_and(|columns| columns < 70) { 8 } else { 16 }
+}
+
 /// A bar of a width that suits the terminal.
 fn bar(share: f64, terminal: Terminal) -> String {
-    let width = if terminal.width.is_some_and(|columns| columns < 70) { 8 } else { 16 };
+    let width = bar_width(terminal);
     let filled = (share.clamp(0.0, 1.0) * width as f64).floor() as usize;
     let done = terminal.paint(Style::Good, &"━".repeat(filled));
     done + &terminal.paint(Style::Quiet, &"─".repeat(width - filled))

@@ -31,7 +31,7 @@ pub(super) trait Reporter {
 pub(super) struct Ending<'a> {
     /// What was executed.
     pub executed: &'a Executed,
-    /// The results folder; `None` where the pipeline has no results.
+    /// The results folder; `None` where there are no results.
     pub published: Option<&'a Published>,
     /// The program's exit code.
     pub exit_code: u8,

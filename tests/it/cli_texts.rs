@@ -1,0 +1,94 @@
+//! The texts that people read, as snapshots: help, plans, graphs, kinds.
+
+use insta::assert_snapshot;
+
+use crate::cli::WORDS;
+use crate::sealed::Sealed;
+
+fn shown(sealed: &Sealed, args: &str) -> String {
+    let ended = sealed.run(args);
+    sealed.normal(&format!("$ dril-pipe {args}\n{}{}= {}\n", ended.stdout, ended.stderr, ended.code))
+}
+
+#[test]
+fn help_of_the_program_and_of_every_command() {
+    let sealed = Sealed::new();
+    let pages = ["--help", "run --help", "plan --help", "graph --help", "kinds --help"];
+    assert_snapshot!(pages.map(|args| shown(&sealed, args)).join("\n"));
+}
+
+#[test]
+fn mistakes_on_the_command_line() {
+    let sealed = Sealed::with(WORDS);
+    let mistakes = [
+        "rnu p.yaml",
+        "run",
+        "run p.yaml --job 3",
+        "run p.yaml --jobs 0",
+        "run p.yaml --json --quiet",
+        "run p.yaml --checkpoint-every soon",
+        "kinds emti",
+        "kinds something",
+    ];
+    assert_snapshot!(mistakes.map(|args| shown(&sealed, args)).join("\n"));
+}
+
+#[test]
+fn plans_before_and_after_a_run() {
+    let sealed = Sealed::with(WORDS);
+    let mut pages = vec![shown(&sealed, "plan p.yaml"), shown(&sealed, "plan p.yaml --all")];
+    sealed.run_ok("run p.yaml");
+    for args in [
+        "plan p.yaml",
+        "plan p.yaml --profile quick",
+        "plan p.yaml --set count.to=7 --set gather.separator=x --set seed=4",
+        "plan p.yaml --set axes.word=[one,four]",
+        "plan p.yaml --all --set say.times=2",
+    ] {
+        pages.push(shown(&sealed, args));
+    }
+    assert_snapshot!(pages.join("\n"));
+}
+
+#[test]
+fn a_plan_as_json_has_every_stage_with_its_reasons() {
+    let sealed = Sealed::with(WORDS);
+    sealed.run_ok("run p.yaml");
+    let text = sealed.run_ok("plan p.yaml --json --set count.to=7");
+    let plan: serde_json::Value = serde_json::from_str(&text).unwrap();
+    assert_eq!(plan["counts"], serde_json::json!({ "cached": 4, "run": 3, "depends_on": 1 }));
+    let stages = plan["stages"].as_array().unwrap();
+    let find = |id: &str| stages.iter().find(|stage| stage["stage"] == id).unwrap();
+    let expected = serde_json::json!([{ "because": "param", "path": "to", "old": 2, "new": 7 }]);
+    assert_eq!(find("count[word=two]")["why"], expected);
+    assert_eq!(find("gather")["depends_on"].as_array().unwrap().len(), 3);
+    assert_eq!(find("apart")["verdict"], "cached");
+    assert_eq!(find("apart")["key"].as_str().unwrap().len(), 64);
+}
+
+#[test]
+fn graphs_in_both_languages() {
+    let sealed = Sealed::with(WORDS);
+    let pages = [
+        "graph p.yaml",
+        "graph p.yaml --format mermaid",
+        "graph p.yaml --instances",
+        "graph p.yaml -f mermaid --instances --set axes.word=[one]",
+    ];
+    assert_snapshot!(pages.map(|args| shown(&sealed, args)).join("\n"));
+}
+
+#[test]
+fn kinds_are_listed_and_described() {
+    let sealed = Sealed::new();
+    assert_snapshot!(["kinds", "kinds count", "kinds concat"].map(|args| shown(&sealed, args)).join("\n"));
+}
+
+#[test]
+fn kinds_as_json_carry_the_schema_of_their_parameters() {
+    let text = Sealed::new().run_ok("kinds count --json");
+    let kind: serde_json::Value = serde_json::from_str(&text).unwrap();
+    assert_eq!(kind["params"]["properties"]["to"]["default"], 3);
+    assert_eq!(kind["inputs"][0]["arity"], "optional");
+    assert_eq!(kind["outputs"][1]["extension"], "csv");
+}

@@ -1,0 +1,113 @@
+//! The results folder: what is copied there, what is taken away, and what is left alone.
+
+use crate::sealed::Sealed;
+
+const TWO: &str = "\
+name: two
+stages:
+  a: { kind: emit, with: { text: \"a\" } }
+  first: { kind: concat, inputs: { parts: a } }
+  second: { kind: concat, with: { labels: true }, inputs: { parts: a } }
+";
+const ONE: &str = "\
+name: two
+stages:
+  a: { kind: emit, with: { text: \"a\" } }
+  first: { kind: concat, inputs: { parts: a } }
+";
+const FOLDER: &str = "results/two-default";
+
+#[test]
+fn a_table_that_nothing_makes_any_more_is_removed() {
+    let sealed = Sealed::with(TWO);
+    sealed.run_ok("run p.yaml");
+    assert_eq!(sealed.list(FOLDER), [".dril-pipe.json", "first.md", "second.md"]);
+    sealed.write("p.yaml", ONE);
+    let said = sealed.run_ok("run p.yaml");
+    assert!(said.contains("removed, as nothing makes them any more: second.md\n"), "{said}");
+    assert_eq!(sealed.list(FOLDER), [".dril-pipe.json", "first.md"]);
+}
+
+#[test]
+fn files_of_other_people_are_left_alone() {
+    let sealed = Sealed::with(TWO);
+    sealed.run_ok("run p.yaml");
+    sealed.write("results/two-default/notes.txt", "mine");
+    sealed.write("results/two-default/second.md", "changed by hand");
+    sealed.write("p.yaml", ONE);
+    sealed.run_ok("run p.yaml");
+    assert_eq!(sealed.read("results/two-default/notes.txt"), "mine");
+    assert_eq!(sealed.read("results/two-default/second.md"), "changed by hand");
+}
+
+#[test]
+fn a_table_that_was_lost_or_changed_comes_back_without_running_anything() {
+    let sealed = Sealed::with(TWO);
+    sealed.run_ok("run p.yaml");
+    let table = sealed.read("results/two-default/first.md");
+    sealed.write("results/two-default/first.md", "changed by hand");
+    std::fs::remove_file(sealed.path("results/two-default/second.md")).unwrap();
+    let said = sealed.run_ok("run p.yaml");
+    assert!(said.contains("0 stages executed"), "{said}");
+    assert_eq!(sealed.read("results/two-default/first.md"), table);
+    assert_eq!(sealed.list(FOLDER), [".dril-pipe.json", "first.md", "second.md"]);
+}
+
+#[test]
+fn a_table_of_an_earlier_run_stays_and_is_called_that() {
+    let chain = "\
+name: two
+stages:
+  a: { kind: count, with: { mishap: none } }
+  first: { kind: concat, inputs: { parts: a.count } }
+";
+    let sealed = Sealed::with(chain);
+    sealed.run_ok("run p.yaml");
+    let ended = sealed.run("run p.yaml --set a.mishap=fail");
+    assert_eq!(ended.code, 1);
+    let expected = "results: results/two-default (1 file)\n  of an earlier run, as their stages did not finish: first.md\n";
+    assert!(ended.stdout.contains(expected), "{}", ended.stdout);
+    assert_eq!(sealed.list(FOLDER), [".dril-pipe.json", "first.md"]);
+}
+
+#[test]
+fn results_go_where_they_are_asked_to_go_and_can_be_read_by_others() {
+    use std::os::unix::fs::PermissionsExt;
+    let sealed = Sealed::with(TWO);
+    let said = sealed.run_ok("run p.yaml --out there/else");
+    assert!(said.contains("results: there/else (2 files)\n"), "{said}");
+    assert_eq!(sealed.list("there/else"), [".dril-pipe.json", "first.md", "second.md"]);
+    assert!(!sealed.path("results").exists());
+    let mode = std::fs::metadata(sealed.path("there/else/first.md")).unwrap().permissions().mode();
+    assert_eq!(mode & 0o600, 0o600, "the owner can read and write it");
+    let umask = mode_of_a_new_file(&sealed);
+    assert_eq!(mode & 0o777, umask, "as any file that a program makes here");
+}
+
+fn mode_of_a_new_file(sealed: &Sealed) -> u32 {
+    use std::os::unix::fs::PermissionsExt;
+    sealed.write("new", "");
+    std::fs::metadata(sealed.path("new")).unwrap().permissions().mode() & 0o777
+}
+
+#[test]
+fn a_note_that_points_outside_its_folder_removes_nothing() {
+    let sealed = Sealed::with(TWO);
+    sealed.run_ok("run p.yaml");
+    sealed.write("results/precious.md", &sealed.read("results/two-default/first.md"));
+    let note = sealed.read("results/two-default/.dril-pipe.json");
+    sealed.write("results/two-default/.dril-pipe.json", &note.replace("\"second.md\"", "\"../precious.md\""));
+    sealed.write("results/two-default/second.md", "");
+    sealed.run_ok("run p.yaml");
+    assert!(sealed.path("results/precious.md").is_file());
+}
+
+#[test]
+fn a_note_that_cannot_be_read_is_written_anew() {
+    let sealed = Sealed::with(TWO);
+    sealed.run_ok("run p.yaml");
+    let note = sealed.read("results/two-default/.dril-pipe.json");
+    sealed.write("results/two-default/.dril-pipe.json", "{ half");
+    sealed.run_ok("run p.yaml");
+    assert_eq!(sealed.read("results/two-default/.dril-pipe.json"), note);
+}
