@@ -107,6 +107,10 @@ pub struct DrilParams {
     /// Episodes whose mean score decides on the peak.
     #[serde(default = "default::int::<10>")]
     pub peak_window: u64,
+    /// Updates after which the best score is forgotten, so that a later, lower peak takes its place; 0: never. The
+    /// reference has 100 (its author chose among the saved peaks by hand).
+    #[serde(default)]
+    pub peak_reset_updates: u64,
     /// Which weights are kept as the peak.
     #[serde(default = "before")]
     pub peak: PeakWeights,

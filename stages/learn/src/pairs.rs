@@ -1,0 +1,194 @@
+//! Demonstrations as the imitators use them: numbered pairs of what was seen and what was done.
+
+use std::path::Path;
+
+use dril_envs::{Demonstrations, Episode, Frame, ObservationSpace};
+use dril_stage_api::StageError;
+use tch::Tensor;
+
+use crate::frames::FrameStore;
+use crate::net::Observation;
+use crate::spaces;
+
+/// The pairs of all episodes in order, numbered from 0.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pairs {
+    /// Pair i's observation is the stack whose newest frame lies in slot i.
+    frames: FrameStore,
+    /// Pair i's action stands at `i·dims`, as it was recorded.
+    actions: Vec<f32>,
+    dims: usize,
+    lengths: Vec<usize>,
+}
+
+impl Pairs {
+    /// No pairs yet, of observations like `observation` and actions with `dims` dimensions (at least one).
+    pub fn new(observation: Observation, dims: usize) -> Self {
+        Self { frames: FrameStore::new(observation), actions: Vec::new(), dims, lengths: Vec::new() }
+    }
+
+    /// Reads the demonstrations at the input `port`.
+    ///
+    /// # Errors
+    /// The file cannot be read, holds no pair, or an action that is not a number.
+    pub fn load(port: &str, path: &Path) -> Result<Self, StageError> {
+        let wrong = |message: String| StageError::input(port, path, message);
+        let demos = Demonstrations::read(path).map_err(|error| wrong(error.to_string()))?;
+        let header = &demos.header;
+        let mut pairs = Self::new(spaces::observation(&header.observation_space), header.action_dims);
+        for (index, episode) in demos.episodes.iter().enumerate() {
+            if let Some(action) = episode.actions.iter().find(|action| !action.is_finite()) {
+                return Err(wrong(format!("episode {index} has an action of {action}, expected numbers")));
+            }
+            pairs.push_episode(frames(episode, &header.observation_space), &episode.actions);
+        }
+        if pairs.is_empty() {
+            return Err(wrong(format!("has no step in {} episodes, expected some", demos.episodes.len())));
+        }
+        Ok(pairs)
+    }
+
+    /// Appends an episode: one frame and one action (`dims` numbers) for each of its steps.
+    pub fn push_episode<'a>(&mut self, frames: impl IntoIterator<Item = Frame<'a>>, actions: &[f32]) {
+        let before = self.frames.len();
+        for (step, frame) in frames.into_iter().enumerate() {
+            self.frames.push(frame, step == 0);
+        }
+        self.actions.extend_from_slice(actions);
+        self.lengths.push(self.frames.len() - before);
+    }
+
+    /// How many pairs there are.
+    pub fn len(&self) -> usize {
+        self.frames.len()
+    }
+
+    /// True where there is no pair.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// What observations look like.
+    pub fn observation(&self) -> Observation {
+        self.frames.observation()
+    }
+
+    /// How many dimensions an action has.
+    pub fn dims(&self) -> usize {
+        self.dims
+    }
+
+    /// The number of pairs in each episode.
+    pub fn lengths(&self) -> &[usize] {
+        &self.lengths
+    }
+
+    /// What was seen; pair i's newest frame lies in slot i.
+    pub fn frames(&self) -> &FrameStore {
+        &self.frames
+    }
+
+    /// The observations of these pairs, as a network takes them (see [`FrameStore::gather`]).
+    pub fn observations(&self, pairs: &[usize]) -> Tensor {
+        self.frames.gather(pairs)
+    }
+
+    /// The actions of these pairs, [pairs, dims], as they were recorded.
+    pub fn actions(&self, pairs: &[usize]) -> Tensor {
+        Tensor::from_slice(&self.action_values(pairs)).view([pairs.len() as i64, self.dims as i64])
+    }
+
+    /// The same as plain numbers, `[pair][dimension]`.
+    pub fn action_values(&self, pairs: &[usize]) -> Vec<f32> {
+        pairs.iter().flat_map(|pair| &self.actions[pair * self.dims..][..self.dims]).copied().collect()
+    }
+}
+
+/// What was seen before each action of an episode.
+fn frames<'a>(episode: &'a Episode, space: &ObservationSpace) -> Box<dyn Iterator<Item = Frame<'a>> + 'a> {
+    let len = space.frame_len().max(1);
+    match space {
+        ObservationSpace::Image { .. } => Box::new(episode.frames.chunks_exact(len).map(Frame::Image)),
+        ObservationSpace::Vector { .. } => Box::new(episode.vectors.chunks_exact(len).map(Frame::Vector)),
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::fast::memory;
+    use dril_envs::{ActionRange, DemosHeader, EnvConfig, Outcome};
+
+    /// Episodes of these lengths in a made-up world of two numbers; what is done is a smooth function of both, beyond
+    /// [-1, 1] at times.
+    pub(crate) fn vector_demos(lengths: &[usize]) -> Demonstrations {
+        let header = DemosHeader {
+            observation_space: ObservationSpace::Vector { len: 2 },
+            ..image_demos(0, 0.0).header
+        };
+        let episodes = lengths.iter().enumerate().map(|(index, &length)| {
+            let seen =
+                (0..length).map(|step| [(step as f32 * 0.3).sin(), (index as f32 + step as f32 * 0.7).cos()]);
+            let seen: Vec<[f32; 2]> = seen.collect();
+            Episode {
+                seed: index as u64,
+                score: 1.0,
+                outcome: Outcome::Finished,
+                frames: Vec::new(),
+                vectors: seen.concat(),
+                actions: seen.iter().flat_map(|[x, y]| [1.2 * x, 0.5 * x * y]).collect(),
+            }
+        });
+        Demonstrations { header, episodes: episodes.collect() }
+    }
+
+    pub(crate) fn image_demos(steps: usize, action: f32) -> Demonstrations {
+        let size = 36 * 36;
+        let episode = |seed: u64| Episode {
+            seed,
+            score: 930.5,
+            outcome: Outcome::Finished,
+            frames: (0..steps * size).map(|at| ((at / size) as u64 + 10 * seed) as u8).collect(),
+            vectors: Vec::new(),
+            actions: (0..steps * 2).map(|at| if at == 0 { action } else { at as f32 / 100.0 }).collect(),
+        };
+        Demonstrations {
+            header: DemosHeader {
+                env: EnvConfig::default(),
+                observation_space: ObservationSpace::Image { height: 36, width: 36, stack: 4 },
+                action_dims: 2,
+                action_range: ActionRange::Raw,
+                mode: "stochastic".to_owned(),
+            },
+            episodes: vec![episode(1), episode(2)],
+        }
+    }
+
+    #[test]
+    fn a_recording_becomes_numbered_pairs_and_stacks_stay_within_their_episode() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.demos");
+        image_demos(6, 2.5).write(&path).unwrap();
+        let pairs = Pairs::load("demonstrations", &path).unwrap();
+        assert_eq!((pairs.len(), pairs.dims(), pairs.lengths()), (12, 2, &[6, 6][..]));
+        assert_eq!(pairs.action_values(&[0, 7]), [2.5, 0.01, 0.02, 0.03]);
+        // The newest values of each plane of the second episode's second stack: two planes are black.
+        let stack = pairs.observations(&[7]);
+        let planes: Vec<f32> = memory::values(&stack).chunks(36 * 36).map(|plane| plane[0]).collect();
+        assert_eq!(planes, [0.0, 0.0, 20.0, 21.0]);
+    }
+
+    #[test]
+    fn a_recording_without_steps_or_with_an_action_that_is_no_number_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.demos");
+        for (demos, part) in [
+            (image_demos(0, 0.0), "no step in 2 episodes"),
+            (image_demos(3, f32::NAN), "episode 0 has an action of NaN"),
+        ] {
+            demos.write(&path).unwrap();
+            let message = Pairs::load("demonstrations", &path).unwrap_err().to_string();
+            assert!(message.contains(part), "{message}");
+        }
+    }
+}
