@@ -1,5 +1,6 @@
 //! All tests that run the engine from the outside, in one binary. Lower-level tests stand beside the code.
 
+mod bad;
 mod cache;
 mod cli;
 mod cli_texts;
@@ -12,6 +13,7 @@ mod plan;
 mod prop;
 mod resolve;
 mod results;
+mod samples;
 mod scenario;
 mod sealed;
 mod tidy;

@@ -255,7 +255,8 @@ fn no_file_names_a_place_on_somebody_s_machine() {
     let endings = [".rs", ".md", ".toml", ".yaml", ".csv", ".snap", ".json"];
     let mut breaches = Vec::new();
     for path in endings.iter().flat_map(|ending| files(&starts, ending)) {
-        for (number, line) in text(&path).lines().enumerate() {
+        let bytes = std::fs::read(root().join(&path)).unwrap();
+        for (number, line) in String::from_utf8_lossy(&bytes).lines().enumerate() {
             let named = places.iter().find(|place| {
                 line.match_indices(&***place)
                     .any(|(at, _)| !line[..at].ends_with(|c: char| c.is_alphanumeric()))
