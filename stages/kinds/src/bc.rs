@@ -36,7 +36,8 @@ pub struct BcParams {
     /// Passes without a better validation loss after which training ends; the best weights are kept.
     #[serde(default = "default::int::<20>")]
     pub patience: u64,
-    /// Pairs a step. The thesis says 32; its code has 100.
+    /// Pairs a step. The thesis says 32; its code has 100. What does not fill a batch at the end of a pass is left out;
+    /// fewer pairs than a batch are one batch.
     #[serde(default = "default::int::<100>")]
     pub batch_size: u64,
     /// Adam's step size.

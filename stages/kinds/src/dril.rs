@@ -104,7 +104,8 @@ pub struct DrilParams {
     /// How data is held out.
     #[serde(default = "pairs")]
     pub split: Split,
-    /// Episodes whose mean score decides on the peak.
+    /// Episodes whose mean score decides on the peak: the last ones of all environments, looked at once an update; fewer
+    /// while fewer have ended. Where none ends in the whole run, the peak is the agent that training began with.
     #[serde(default = "default::int::<10>")]
     pub peak_window: u64,
     /// Updates after which the best score is forgotten, so that a later, lower peak takes its place; 0: never. The

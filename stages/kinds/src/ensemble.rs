@@ -31,7 +31,8 @@ pub struct EnsembleParams {
     /// Passes over the bootstrapped data; the last weights are kept.
     #[serde(default = "default::int::<2001>")]
     pub epochs: u64,
-    /// Pairs a step, divided among the members.
+    /// Pairs a step, divided among the members (cut to a multiple of `members`). What does not fill a batch at the end of
+    /// a pass is left out; fewer pairs than a batch are one batch.
     #[serde(default = "default::int::<100>")]
     pub batch_size: u64,
     /// Adam's step size.
