@@ -56,7 +56,6 @@ impl Place {
             text.push('…');
         }
         let position = (!source.is_argument).then_some((line.number, line.column));
-        let text = text.trim_end().to_owned();
         Self { source: source.name.clone(), position, text, indent, width, label }
     }
 
@@ -77,10 +76,15 @@ impl Place {
     }
 }
 
+/// A text on one line that does nothing to the terminal, whatever a file or a stage kind put into it.
+pub(super) fn plain(text: &str) -> String {
+    text.chars().map(printable).collect()
+}
+
 /// A character that takes one place on a terminal and does nothing to it.
 fn printable(character: char) -> char {
     match character {
-        '\t' => ' ',
+        '\t' | '\n' | '\r' => ' ',
         // Also marks that change the direction of what follows: they can make a line read as another.
         '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}' => '\u{fffd}',
         other if other.is_control() => '\u{fffd}',

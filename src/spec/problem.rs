@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-use super::diagnostic::{Diagnostic, Diagnostics, Place};
+use super::diagnostic::{Diagnostic, Diagnostics, Place, plain};
 use super::source::{Sources, Span};
 
 /// After so many the rest is counted only: nobody reads on, and a hostile file must not keep us busy.
@@ -91,9 +91,9 @@ impl Problems {
             let first = (problem.at, problem.label);
             let places = std::iter::once(first).chain(problem.related);
             Diagnostic {
-                message: problem.message,
-                places: places.map(|(at, label)| Place::new(sources.get(at), at, label)).collect(),
-                hints: problem.hints,
+                message: plain(&problem.message),
+                places: places.map(|(at, label)| Place::new(sources.get(at), at, plain(&label))).collect(),
+                hints: problem.hints.iter().map(|hint| plain(hint)).collect(),
             }
         });
         Diagnostics::new(found.collect(), self.more)

@@ -1,0 +1,81 @@
+//! The pipeline files that come with the program, against the kinds that come with it.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use dril_pipe::resolve::{Choices, Graph, resolve};
+use dril_pipe::spec::{SourceName, parse};
+use dril_stage_api::{Kind, Registry};
+
+fn registry() -> Registry {
+    let kinds: Vec<Kind> = [&dril_kinds::KINDS[..], &dril_report::KINDS].concat();
+    Registry::new(kinds).unwrap()
+}
+
+fn text(file: &str) -> String {
+    std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines").join(file)).unwrap()
+}
+
+fn graph(profile: &str, set: &[&str]) -> Graph {
+    let spec = parse(&text("thesis.yaml"), &SourceName("pipelines/thesis.yaml".to_owned())).unwrap();
+    let set = set.iter().map(|set| (*set).to_owned()).collect();
+    let choices = Choices { profile: Some(profile.to_owned()), set };
+    resolve(&spec, &choices, &registry()).unwrap_or_else(|said| panic!("{said}"))
+}
+
+fn instances(graph: &Graph) -> BTreeMap<String, usize> {
+    let mut counts = BTreeMap::new();
+    for stage in graph.stages.node_weights() {
+        *counts.entry(stage.name.to_string()).or_default() += 1;
+    }
+    counts
+}
+
+#[test]
+fn the_thesis_resolves_at_every_profile() {
+    let spec = parse(&text("thesis.yaml"), &SourceName("pipelines/thesis.yaml".to_owned())).unwrap();
+    let profiles: Vec<&str> = spec.profiles().collect();
+    assert_eq!(profiles, ["thesis", "desk", "smoke"]);
+    for (profile, seeds) in profiles.into_iter().zip([5, 1, 2]) {
+        let counts = instances(&graph(profile, &[]));
+        for (stage, count) in [
+            ("train-expert", 2 * seeds),
+            ("choose-expert", 2),
+            ("dataset", 4),
+            ("clone", 8),
+            ("ensemble", 4),
+            ("dril", 8),
+            ("evaluate", 48),
+        ] {
+            assert_eq!(counts.get(stage), Some(&count), "{stage} at {profile}");
+        }
+    }
+}
+
+#[test]
+fn the_tables_read_the_evaluations_that_they_show() {
+    let graph = graph("thesis", &[]);
+    for (table, cells) in [("table12", 2), ("table20", 8), ("table22", 48)] {
+        let stage = graph.stages.node_weights().find(|stage| &*stage.name == table).unwrap();
+        let scores = stage.inputs.iter().find(|wire| wire.port == "scores").unwrap();
+        assert_eq!(scores.sources.len(), cells, "{table}");
+    }
+}
+
+#[test]
+fn a_number_set_on_the_command_line_reaches_its_stages_only() {
+    let (before, after) = (graph("smoke", &[]), graph("smoke", &["dril.total_steps=4096"]));
+    let changed: Vec<&str> = before
+        .stages
+        .node_weights()
+        .zip(after.stages.node_weights())
+        .filter(|(before, after)| before.params != after.params)
+        .map(|(before, _)| &*before.name)
+        .collect();
+    assert_eq!(changed, ["dril"; 8]);
+}
+
+#[test]
+fn one_glance_shows_the_experiment() {
+    assert!(text("thesis.yaml").lines().count() <= 165);
+}
