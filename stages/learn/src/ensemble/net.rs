@@ -6,7 +6,7 @@
 
 use std::path::Path;
 
-use dril_stage_api::{Seed, StageError, StreamRng};
+use dril_stage_api::{StageError, StreamRng};
 use serde::{Deserialize, Serialize};
 use tch::Tensor;
 
@@ -45,6 +45,11 @@ impl Ensemble {
     /// Fewer than two members (their covariance would not exist), no action, or frames that the convolutions cannot
     /// take.
     pub fn new(architecture: Architecture, stream: &mut StreamRng) -> Result<Self, StageError> {
+        Self::build(architecture, Some(stream))
+    }
+
+    /// With weights from the stream, or zeros.
+    fn build(architecture: Architecture, stream: Option<&mut StreamRng>) -> Result<Self, StageError> {
         check(architecture)?;
         let init = LayerInit::Default;
         let mut build = Builder::new();
@@ -68,7 +73,11 @@ impl Ensemble {
             head
         });
         let heads = heads.collect();
-        Ok(Self { architecture, encoder, heads, params: build.finish(stream) })
+        let params = match stream {
+            Some(stream) => build.finish(stream),
+            None => build.finish_blank(),
+        };
+        Ok(Self { architecture, encoder, heads, params })
     }
 
     /// What determines the layout of its parameters.
@@ -155,8 +164,7 @@ impl Ensemble {
             let message = format!("has the format `{}`, expected `{FORMAT}`", about.format);
             return Err(StageError::input(port, path, message));
         }
-        // The values are replaced at once, so the seed does not matter.
-        let mut ensemble = Self::new(about.ensemble, &mut Seed(0).stream("init"))?;
+        let mut ensemble = Self::build(about.ensemble, None)?;
         file.fill(port, path, &mut ensemble.params)?;
         Ok(ensemble)
     }
@@ -165,6 +173,7 @@ impl Ensemble {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use dril_stage_api::Seed;
     use tch::{Device, Kind};
 
     const VECTORS: Architecture =
