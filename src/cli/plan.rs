@@ -124,7 +124,8 @@ fn table(plan: &Plan<'_>, all: bool, terminal: Terminal) -> String {
     if !rows.is_empty() {
         text.push('\n');
     }
-    text + &summary(plan)
+    let width = terminal.width.unwrap_or(usize::MAX);
+    text + &columns::wrap(&summary(plan), width).join("\n") + "\n"
 }
 
 fn heading(plan: &Plan<'_>, terminal: Terminal) -> String {
@@ -136,13 +137,13 @@ fn heading(plan: &Plan<'_>, terminal: Terminal) -> String {
 fn summary(plan: &Plan<'_>) -> String {
     let Counts { cached, run, depends } = Counts::of(plan);
     if run + depends == 0 {
-        return format!("nothing to run: {} cached\n", count(cached, "stage"));
+        return format!("nothing to run: {} cached", count(cached, "stage"));
     }
     let mut text = format!("{} to run", count(run, "stage"));
     if depends > 0 {
         text += &format!(", {depends} behind them (they run unless their inputs come out as before)");
     }
-    text + &format!(", {cached} cached\n")
+    text + &format!(", {cached} cached")
 }
 
 fn as_json(plan: &Plan<'_>) -> Value {

@@ -4,6 +4,7 @@
 use std::env;
 use std::fmt::Write as _;
 use std::io::{self, IsTerminal, Write};
+use std::path::Path;
 use std::time::Duration;
 
 use crate::error::{Error, ErrorKind};
@@ -144,6 +145,13 @@ pub(super) fn printable(text: &str) -> String {
         }
     }
     safe
+}
+
+/// A path as people would type it here: relative where it is below the current folder.
+pub(super) fn shown(path: &Path) -> String {
+    let here = env::current_dir().ok();
+    let below = here.and_then(|here| path.strip_prefix(here).ok());
+    printable(&below.unwrap_or(path).display().to_string())
 }
 
 /// `text` cut to `width` columns, with `…` where something is missing.

@@ -1,4 +1,12 @@
 //! All tests that run the engine from the outside, in one binary. Lower-level tests stand beside the code.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "clippy takes only functions marked as tests for tests, and not what they share"
+)]
 
 mod bad;
 mod cache;
@@ -16,4 +24,6 @@ mod results;
 mod samples;
 mod scenario;
 mod sealed;
+#[cfg(feature = "stages")]
+mod thesis;
 mod tidy;

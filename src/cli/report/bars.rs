@@ -32,6 +32,7 @@ pub(super) struct Bars<'g> {
 /// What is on the screen. Made when the first stage starts: a run without work draws nothing.
 struct Live {
     lines: MultiProgress,
+    gap: ProgressBar,
     whole: ProgressBar,
 }
 
@@ -64,19 +65,31 @@ impl<'g> Bars<'g> {
         self.graph.stages.node_weight(stage).map_or(0.0, |stage| stage.needs.cost.max(0.0))
     }
 
+    /// A short name, `dril[clipped, beta, 20]`: there is little room, and the lines above have the full one.
+    fn name(&self, stage: StageIndex) -> String {
+        let Some(stage) = self.graph.stages.node_weight(stage) else { return String::new() };
+        let values: Vec<&str> = stage.coordinates.iter().map(|(_, value)| &**value).collect();
+        if values.is_empty() {
+            stage.name.to_string()
+        } else {
+            format!("{}[{}]", stage.name, values.join(", "))
+        }
+    }
+
     fn started(&mut self, stage: StageIndex) {
         self.work.began.get_or_insert_with(Instant::now);
         let live = self.live.get_or_insert_with(Live::new);
         let line = ProgressBar::new_spinner().with_style(style("{spinner} {wide_msg}  {time}"));
         let line = live.lines.insert_before(&live.whole, line);
-        line.set_message(self.story.id(stage).to_owned());
+        line.set_message(self.name(stage));
         line.enable_steady_tick(TICK);
         self.running.insert(stage, Running { line, first: None, share: 0.0 });
     }
 
     fn progressed(&mut self, stage: StageIndex, progress: &Progress) {
+        let name = self.name(stage);
         let Some(running) = self.running.get_mut(&stage) else { return };
-        let message = running.message(self.story.id(stage), progress, self.terminal);
+        let message = running.message(&name, progress, self.terminal);
         running.line.set_message(message);
     }
 
@@ -102,7 +115,6 @@ impl<'g> Bars<'g> {
         if let Some(left) = self.work.left(under_way.sum()) {
             let _ = write!(text, ", about {} left", estimate(left));
         }
-        // Not to the last column: the `^C` that a terminal echoes there would begin a line that nobody clears.
         let room = self.terminal.width.unwrap_or(80).saturating_sub(bar_width(self.terminal) + 16);
         let text = cut(&text, room);
         live.whole.set_message(format!("{} {text}", bar(share, self.terminal)));
@@ -119,21 +131,25 @@ impl<'g> Bars<'g> {
 impl Live {
     fn new() -> Self {
         let lines = MultiProgress::with_draw_target(ProgressDrawTarget::stdout());
+        // When a terminal echoes `^C`, the cursor is a line lower than it is thought to be, and the topmost line is not
+        // cleared: it had better be an empty one.
+        let gap = lines.add(ProgressBar::new_spinner().with_style(style(" ")));
+        gap.tick();
         let whole = lines.add(ProgressBar::new_spinner().with_style(style("  {msg}  {time}")));
         whole.enable_steady_tick(TICK);
-        Self { lines, whole }
+        Self { lines, gap, whole }
     }
 }
 
 impl Running {
-    fn message(&mut self, id: &str, progress: &Progress, terminal: Terminal) -> String {
+    fn message(&mut self, name: &str, progress: &Progress, terminal: Terminal) -> String {
         let Progress { step, total, unit, note } = progress;
         let (since, from) = *self.first.get_or_insert_with(|| (Instant::now(), *step));
         let mut text = if *total > 0 {
             self.share = (*step as f64 / *total as f64).clamp(0.0, 1.0);
-            format!("{} {:>3.0}% {id}", bar(self.share, terminal), (self.share * 100.0).floor())
+            format!("{} {:>3.0}% {name}", bar(self.share, terminal), (self.share * 100.0).floor())
         } else {
-            format!("{id}  {step} {unit}")
+            format!("{name}  {step} {unit}")
         };
         if let Some(left) = time_left(since.elapsed(), from, *step, *total) {
             let _ = write!(text, "  {} left", estimate(left));
@@ -221,6 +237,7 @@ impl Reporter for Bars<'_> {
     fn ended(&mut self, ending: &Ending<'_>) {
         if let Some(live) = self.live.take() {
             live.whole.finish_and_clear();
+            live.gap.finish_and_clear();
         }
         let line = self.story.ended(ending);
         self.say(Line::Out(line));

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::Ending;
 use crate::cli::plan::Counts;
-use crate::cli::terminal::{Style, Terminal, count, duration, print, print_error, printable};
+use crate::cli::terminal::{Style, Terminal, count, duration, print, print_error, printable, shown};
 use crate::exec::{Event, Outcome};
 use crate::plan::{Plan, Verdict};
 use crate::resolve::{Graph, StageIndex};
@@ -122,7 +122,7 @@ impl<'g> Story<'g> {
     pub fn ended(&self, ending: &Ending<'_>) -> String {
         let mut text = self.verdict(&ending.executed.outcome);
         if let Some(published) = ending.published {
-            let folder = published.folder.display();
+            let folder = shown(&published.folder);
             text += &format!("\nresults: {folder} ({})", count(published.files, "file"));
             if !published.earlier.is_empty() {
                 let names = published.earlier.join(", ");
@@ -176,7 +176,7 @@ pub(super) fn failure(id: &str, error: &str, log_tail: &[String], log: &Path) ->
             text += &format!("\n    | {}", printable(line).replace('\n', " "));
         }
     }
-    text + &format!("\n  log: {}", log.display())
+    text + &format!("\n  log: {}", shown(log))
 }
 
 #[cfg(test)]
