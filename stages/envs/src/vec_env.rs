@@ -80,14 +80,28 @@ impl VecEnv {
                 });
             }
         }
-        let slot = |_| Ok(Slot { env: config.build()?, seed: 0, score: 0.0, length: 0 });
-        let slots = (0..count).map(slot).collect::<Result<Vec<_>, EnvError>>()?;
-        let steps = vec![VecStep { reward: 0.0, outcome: Outcome::Running, finished: None }; count];
-        let threads = threads.min(count);
+        let envs = (0..count).map(|_| config.build()).collect::<Result<Vec<_>, EnvError>>()?;
+        Self::of(envs, config.spaces(), threads)
+    }
+
+    /// These environments, which all have these spaces, stepped by `threads` threads.
+    ///
+    /// # Errors
+    /// The threads cannot be started.
+    pub fn of(
+        envs: Vec<Box<dyn Env>>,
+        spaces: (ObservationSpace, ActionSpace),
+        threads: usize,
+    ) -> Result<Self, EnvError> {
+        let slots: Vec<Slot> =
+            envs.into_iter().map(|env| Slot { env, seed: 0, score: 0.0, length: 0 }).collect();
+        let steps = vec![VecStep { reward: 0.0, outcome: Outcome::Running, finished: None }; slots.len()];
+        let threads = threads.min(slots.len());
         let pool = (threads > 1).then(|| rayon::ThreadPoolBuilder::new().num_threads(threads).build());
-        let pool =
-            pool.transpose().map_err(|error| EnvError::Threads { threads, message: error.to_string() })?;
-        Ok(Self { slots, steps, pool, spaces: config.spaces() })
+        let pool = pool
+            .transpose()
+            .map_err(|error| EnvError::Threads { threads, message: error.to_string() })?;
+        Ok(Self { slots, steps, pool, spaces })
     }
 
     /// Number of environments.

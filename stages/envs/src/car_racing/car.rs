@@ -1,6 +1,6 @@
 //! The car: pedals and steering, tyres and bodies, one step at a time.
 
-use super::settle::CarPose;
+use super::positions::{BODIES, Pose};
 use super::tyre::Tyre;
 use super::world::{CarWorld, Motion};
 
@@ -29,8 +29,8 @@ pub struct Car {
 
 impl Car {
     /// A car at rest.
-    pub fn new(pose: &CarPose) -> Self {
-        Self { world: CarWorld::new(pose), tyres: [Tyre::default(); 4] }
+    pub fn new(poses: [Pose; BODIES]) -> Self {
+        Self { world: CarWorld::new(poses), tyres: [Tyre::default(); 4] }
     }
 
     /// Sets pedals and steering.
@@ -48,11 +48,9 @@ impl Car {
 
     /// One step of tyres and bodies. `on_road`: whether each wheel touched a tile when its contacts were last looked at.
     pub fn step(&mut self, on_road: [bool; 4]) {
-        let wheels = self.world.wheels();
         let (mut speeds, mut forces) = ([0.0; 4], [[0.0; 2]; 4]);
         for i in 0..4 {
-            let [cos, sin] = wheels[i].cos_sin;
-            let [vx, vy] = wheels[i].velocity;
+            let Motion { cos_sin: [cos, sin], velocity: [vx, vy], .. } = self.world.wheels()[i];
             speeds[i] = self.tyres[i].steering_speed(self.world.joint_angle(i));
             let grip = self.tyres[i].roll(cos * vy - sin * vx, cos * vx + sin * vy, on_road[i]);
             forces[i] = [grip.side * cos - grip.forward * sin, grip.side * sin + grip.forward * cos];
@@ -71,7 +69,7 @@ impl Car {
     }
 
     /// The hull's motion.
-    pub fn hull(&self) -> Motion {
+    pub fn hull(&self) -> &Motion {
         self.world.hull()
     }
 }

@@ -23,7 +23,11 @@ pub fn draw(canvas: &mut Canvas, camera: &Camera, inks: &Inks, floor: usize) {
     let across = fixed_difference(camera, [1.5, 0.5]);
     let down = fixed_difference(camera, [0.5, 1.5]);
     for row in 0..floor {
-        let at = [0, 1].map(|axis| origin[axis].wrapping_add(down[axis].wrapping_mul(row as i32)));
+        let shift = canvas.shift(row);
+        let at = [0, 1].map(|axis| {
+            let shifted = (f64::from(across[axis]) * shift) as i32;
+            origin[axis].wrapping_add(down[axis].wrapping_mul(row as i32)).wrapping_add(shifted)
+        });
         let pixels = &mut canvas.row_mut(row)[..width];
         for (column, pixel) in pixels.iter_mut().enumerate() {
             let [u, v] = [0, 1].map(|axis| at[axis].wrapping_add(across[axis].wrapping_mul(column as i32)));

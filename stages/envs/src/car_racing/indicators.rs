@@ -4,39 +4,48 @@ use super::camera::WINDOW;
 use super::palette::{self, Colour, Inks};
 use super::raster::Canvas;
 use super::scene::Scene;
+use crate::CarRacingVersion;
 
 /// Window pixels of a gauge's unit: across and up.
 const UNIT: [f64; 2] = [WINDOW[0] / 40.0, WINDOW[1] / 40.0];
 
-/// A filled box between two corners of the window (y up).
-pub type Gauge = ([f64; 2], [f64; 2], Colour);
+/// What counts as 0 in the later version.
+const AT_REST: f64 = 1e-4;
 
-/// The gauges of a scene, in drawing order.
-pub fn gauges(scene: &Scene<'_>) -> [Gauge; 7] {
+/// A filled box between two corners of the window (y up).
+type Gauge = ([f64; 2], [f64; 2], Colour);
+
+/// The gauges of a scene with the values they show, in drawing order.
+fn gauges(scene: &Scene<'_>) -> [(f64, Gauge); 7] {
     let [vx, vy] = scene.hull.velocity;
-    let upright = |place: f64, length: f64, colour| {
-        ([place * UNIT[0], UNIT[1]], [(place + 1.0) * UNIT[0], UNIT[1] + length * UNIT[1]], colour)
+    let upright = |place: f64, value: f64, scale: f64, colour| {
+        let top = UNIT[1] * (1.0 + scale * value);
+        (value, ([place * UNIT[0], UNIT[1]], [(place + 1.0) * UNIT[0], top], colour))
     };
-    let lying = |place: f64, length: f64, colour| {
-        ([place * UNIT[0], 2.0 * UNIT[1]], [(place + length) * UNIT[0], 4.0 * UNIT[1]], colour)
+    let lying = |place: f64, value: f64, scale: f64, colour| {
+        let end = UNIT[0] * (place + scale * value);
+        (value, ([place * UNIT[0], 2.0 * UNIT[1]], [end, 4.0 * UNIT[1]], colour))
     };
     [
-        upright(5.0, 0.02 * vx.hypot(vy), palette::WHITE),
-        upright(7.0, 0.01 * scene.omegas[0], palette::BLUE),
-        upright(8.0, 0.01 * scene.omegas[1], palette::BLUE),
-        upright(9.0, 0.01 * scene.omegas[2], palette::PURPLE),
-        upright(10.0, 0.01 * scene.omegas[3], palette::PURPLE),
-        lying(20.0, -10.0 * scene.steering, palette::GREEN),
-        lying(30.0, -0.8 * scene.hull.spin, palette::RED),
+        upright(5.0, vx.hypot(vy), 0.02, palette::WHITE),
+        upright(7.0, scene.omegas[0], 0.01, palette::BLUE),
+        upright(8.0, scene.omegas[1], 0.01, palette::BLUE),
+        upright(9.0, scene.omegas[2], 0.01, palette::PURPLE),
+        upright(10.0, scene.omegas[3], 0.01, palette::PURPLE),
+        lying(20.0, scene.steering, -10.0, palette::GREEN),
+        lying(30.0, scene.hull.spin, -0.8, palette::RED),
     ]
 }
 
-/// Draws bar and gauges.
-pub fn draw(canvas: &mut Canvas, scene: &Scene<'_>, inks: &Inks) {
+/// Draws bar and gauges; the later version leaves out a gauge at rest.
+pub fn draw(canvas: &mut Canvas, scene: &Scene<'_>, inks: &Inks, version: CarRacingVersion) {
     let scale = [canvas.width() as f64 / WINDOW[0], canvas.height() as f64 / WINDOW[1]];
     let dot = |[x, y]: [f64; 2]| [x * scale[0], (WINDOW[1] - y) * scale[1]];
     canvas.fill_box(dot([0.0, 0.0]), dot([WINDOW[0], 5.0 * UNIT[1]]), inks.of(palette::BLACK));
-    for (from, to, colour) in gauges(scene) {
+    for (value, (from, to, colour)) in gauges(scene) {
+        if version == CarRacingVersion::V3 && value.abs() <= AT_REST {
+            continue;
+        }
         canvas.fill_box(dot(from), dot(to), inks.of(colour));
     }
 }

@@ -2,18 +2,19 @@
 //!
 //! Written from the facts of gym's CarRacing-v0 (Klimov, 2016) and Gymnasium's CarRacing-v3, with rapier2d in place of
 //! Box2D. [`track`] makes the track, [`car`], [`tyre`] and [`world`] move the car, [`tiles`] sees what it touches,
-//! [`simulation`] keeps the score, and [`render_v0`] draws a [`scene`].
+//! [`simulation`] keeps the score, and [`render`] draws a [`scene`].
 
 pub mod camera;
 pub mod car;
 pub mod convex;
 mod grass;
 mod indicators;
+pub mod paint;
 pub mod palette;
+pub mod positions;
 pub mod raster;
-pub mod render_v0;
+pub mod render;
 pub mod scene;
-pub mod settle;
 pub mod shape;
 pub mod simulation;
 mod text;
@@ -30,8 +31,7 @@ use crate::{
     ActionSpace, CarRacingConfig, Env, EnvError, EnvSnapshot, Frame, ObservationSpace, Picture, Step,
 };
 use car::Controls;
-use palette::Inks;
-use render_v0::Renderer;
+use render::{Output, Renderer};
 use simulation::{Rules, Simulation};
 use track::{DRAWS, Track};
 
@@ -40,7 +40,9 @@ const DIMS: usize = 2;
 /// Attempts after which the track draws cannot be uniform: one in ten fails.
 const MOST_ATTEMPTS: usize = 1000;
 /// Largest side of a picture for people.
-const MOST_PIXELS: usize = 8192;
+const MOST_PIXELS: usize = 4096;
+/// Samples per pixel and axis of a picture for people.
+const PICTURE_SAMPLES: usize = 3;
 
 /// CarRacing as the thesis's policies see it: 84 x 84 grey, two actions.
 ///
@@ -67,7 +69,7 @@ impl CarRacing {
 
     /// An environment before its first episode.
     pub fn new(config: CarRacingConfig) -> Self {
-        let renderer = Renderer::new(FULL, FULL, Inks::grey());
+        let renderer = Renderer::new(config.version, Output::Grey, [FULL; 2]);
         Self { config, renderer, frame: Box::new([0; SIDE * SIDE]), episode: None }
     }
 
@@ -193,9 +195,9 @@ impl Env for CarRacing {
             let message = format!("{width} x {height} pixels, expected 1 to {MOST_PIXELS} a side");
             return Err(EnvError::Picture(message));
         }
-        let mut renderer = Renderer::new(width, height, Inks::indices());
+        let size = [width, height];
+        let mut renderer = Renderer::with_samples(self.config.version, Output::Rgb, size, PICTURE_SAMPLES);
         renderer.draw(episode.simulation.track(), &episode.simulation.scene());
-        let rgb = renderer.pixels().iter().flat_map(|colour| palette::RGB[*colour as usize]).collect();
-        Ok(Picture { width, height, rgb })
+        Ok(Picture { width, height, rgb: renderer.pixels().to_vec() })
     }
 }

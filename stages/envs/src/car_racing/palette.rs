@@ -1,5 +1,7 @@
 //! The colours of the picture, as one byte each, and what they become: grey levels or RGB.
 
+use crate::CarRacingVersion;
+
 /// Index of a colour in the palette.
 pub type Colour = u8;
 
@@ -34,22 +36,22 @@ pub const SHADES: u8 = 16;
 /// Colours there are, with room between.
 pub const COUNT: usize = (FIRST_SHADE + SHADES) as usize;
 
-/// RGB of every colour in the original's picture (its OpenGL colours in 8 bits).
-pub const RGB: [[u8; 3]; COUNT] = {
+/// RGB of every colour: the originals' colours in 8 bits.
+pub fn rgb(version: CarRacingVersion) -> [[u8; 3]; COUNT] {
     let mut rgb = [[0; 3]; COUNT];
-    let mut colour = 0;
-    while colour < NAMED.len() {
-        rgb[colour] = NAMED[colour];
-        colour += 1;
-    }
-    let mut shade = 0;
-    while shade < SHADES {
+    rgb[..NAMED.len()].copy_from_slice(&NAMED);
+    for shade in 0..SHADES {
         rgb[(FIRST_SHADE + shade) as usize] = [shade * (255 / (SHADES - 1)); 3];
-        shade += 1;
+    }
+    if version == CarRacingVersion::V3 {
+        // It cuts off what OpenGL rounds.
+        rgb[ROAD[1] as usize] = [104; 3];
+        rgb[WHEEL_MARK as usize] = [77; 3];
     }
     rgb
-};
+}
 
+/// Colours up to the shades, as version 0 draws them.
 const NAMED: [[u8; 3]; 14] = [
     [0, 0, 0],
     [102, 204, 102],
@@ -78,8 +80,8 @@ impl Inks {
     }
 
     /// Their grey levels.
-    pub fn grey() -> Self {
-        Self(RGB.map(grey))
+    pub fn grey(rgb: &[[u8; 3]; COUNT]) -> Self {
+        Self(rgb.map(grey))
     }
 
     /// What to write for a colour.

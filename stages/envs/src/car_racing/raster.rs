@@ -11,12 +11,33 @@ pub struct Canvas {
     height: usize,
     pixels: Vec<u8>,
     spans: Vec<[f64; 2]>,
+    sampling: Sampling,
+}
+
+/// Where a canvas looks at what it fills.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Sampling {
+    /// How far right of the pixel's centre the sample is, in pixels, by row modulo 4.
+    pub shifts: [f64; 4],
+    /// By how much polygons are widened to both sides, in pixels.
+    pub growth: f64,
 }
 
 impl Canvas {
     /// A picture of zeros.
     pub fn new(width: usize, height: usize) -> Self {
-        Self { width, height, pixels: vec![0; width * height], spans: vec![[0.0; 2]; height] }
+        Self::with_sampling(width, height, Sampling::default())
+    }
+
+    /// A picture of zeros, sampled elsewhere than at its pixels' centres.
+    pub fn with_sampling(width: usize, height: usize, sampling: Sampling) -> Self {
+        let (pixels, spans) = (vec![0; width * height], vec![[0.0; 2]; height]);
+        Self { width, height, pixels, spans, sampling }
+    }
+
+    /// How far right of its pixels' centres a row is sampled.
+    pub fn shift(&self, row: usize) -> f64 {
+        self.sampling.shifts[row % 4]
     }
 
     /// Columns.
@@ -59,8 +80,9 @@ impl Canvas {
             self.edge(corners[if i == 0 { last } else { i - 1 }], *corner, rows.end);
         }
         for row in rows {
-            let [from, to] = self.spans[row];
-            let columns = samples(from, to, self.width);
+            let ([from, to], shift) = (self.spans[row], self.shift(row));
+            let columns =
+                samples(from - shift - self.sampling.growth, to - shift + self.sampling.growth, self.width);
             if !columns.is_empty() {
                 self.pixels[row * self.width + columns.start..row * self.width + columns.end].fill(ink);
             }

@@ -1,8 +1,8 @@
 //! The game without its picture: car, tiles, reward and end of an episode.
 
 use super::car::{Car, Controls};
+use super::positions;
 use super::scene::Scene;
-use super::settle;
 use super::tiles::{Contacts, Tiles};
 use super::track::{PLAYFIELD, Track};
 use super::tyre::DT;
@@ -42,14 +42,11 @@ impl Simulation {
     /// A car at the start of the track, after the original's reset: one step without a driver has already passed.
     pub fn new(track: Track, rules: Rules) -> Self {
         let start = track.way_points.first().map_or([0.0; 3], |p| [p.x, p.y, p.beta]);
-        let created = settle::created(start[0], start[1], start[2]);
         let tiles = Tiles::new(&track);
-        // The reset's step looks for contacts before it pulls the wheels into place.
-        let unsettled = Car::new(&created);
         let mut simulation = Self {
             tiles,
             track,
-            car: unsettled,
+            car: Car::new(positions::created(start[0], start[1], start[2])),
             rules,
             contacts: Contacts::default(),
             lap_closed: false,
@@ -58,8 +55,9 @@ impl Simulation {
             ticks: 1,
             outcome: Outcome::Running,
         };
+        // The reset's step looks for contacts before it pulls the wheels into place.
         simulation.touch();
-        simulation.car = Car::new(&settle::settled(&created));
+        simulation.car.world_mut().settle();
         simulation
     }
 
@@ -89,7 +87,7 @@ impl Simulation {
 
     fn touch(&mut self) {
         let was_on_start = self.contacts.on_start;
-        self.contacts = self.tiles.touch(&self.car.world().hull(), &self.car.world().wheels());
+        self.contacts = self.tiles.touch(self.car.world().hull(), self.car.world().wheels());
         let n = self.tiles.len() as f64;
         for _ in 0..self.contacts.new_visits {
             self.score += LAP_REWARD / n;
@@ -152,8 +150,8 @@ impl Simulation {
         // The original draws before it books the step's cost.
         let score = if self.steps == 0 { self.score } else { self.score + STEP_COST };
         Scene {
-            hull: world.hull(),
-            wheels: world.wheels(),
+            hull: *world.hull(),
+            wheels: std::array::from_fn(|i| world.wheels()[i]),
             phases: self.car.tyres.map(|tyre| tyre.phase),
             omegas: self.car.tyres.map(|tyre| tyre.omega),
             steering: world.joint_angle(0),

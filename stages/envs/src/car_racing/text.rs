@@ -4,15 +4,25 @@
 use super::camera::WINDOW;
 use super::palette::{self, Inks};
 use super::raster::Canvas;
+use crate::CarRacingVersion;
 
-/// Left edge and baseline of the text in the window, window pixels, y up.
-const ORIGIN: [f64; 2] = [20.0, 28.0];
-/// From one character to the next.
-const ADVANCE: f64 = 30.5;
-/// Height of a digit.
-const HEIGHT: f64 = 36.0;
-/// Half the width of a stroke.
-const HALF_STROKE: f64 = 2.6;
+/// How the text is set, window pixels, y up.
+#[derive(Clone, Copy, Debug)]
+struct Face {
+    /// Left edge and baseline.
+    origin: [f64; 2],
+    /// From one character to the next.
+    advance: f64,
+    /// Height of a digit.
+    height: f64,
+    /// Half the width of a stroke.
+    half_stroke: f64,
+}
+
+/// A sans-serif of 36 points at 96 dots per inch.
+const FACE_V0: Face = Face { origin: [20.0, 28.0], advance: 30.5, height: 36.0, half_stroke: 2.6 };
+/// A bold sans-serif of 42 pixels.
+const FACE_V3: Face = Face { origin: [13.0, 35.0], advance: 23.5, height: 30.0, half_stroke: 3.2 };
 /// Characters shown.
 const SLOTS: usize = 4;
 /// The glyphs of the digits, then the minus sign.
@@ -113,19 +123,21 @@ struct Slot {
 
 impl Text {
     /// The characters for pictures of this size.
-    pub fn new(width: usize, height: usize) -> Self {
+    pub fn new(version: CarRacingVersion, width: usize, height: usize) -> Self {
+        let face = if version == CarRacingVersion::V3 { FACE_V3 } else { FACE_V0 };
         let scale = [width as f64 / WINDOW[0], height as f64 / WINDOW[1]];
-        let margin = HALF_STROKE + 1.0;
+        let margin = face.half_stroke + 1.0;
         let row = |y: f64| ((WINDOW[1] - y) * scale[1]) as usize;
-        let rows = row(ORIGIN[1] + HEIGHT + margin)..(row(ORIGIN[1] - margin) + 1).min(height);
+        let rows = row(face.origin[1] + face.height + margin)..(row(face.origin[1] - margin) + 1).min(height);
         let slot = |n: usize| {
-            let left = ORIGIN[0] + n as f64 * ADVANCE;
-            let columns = (left * scale[0]) as usize..(((left + ADVANCE) * scale[0]) as usize + 1).min(width);
+            let left = face.origin[0] + n as f64 * face.advance;
+            let columns =
+                (left * scale[0]) as usize..(((left + face.advance) * scale[0]) as usize + 1).min(width);
             let shades = std::array::from_fn(|glyph| {
                 let at = |row: usize, column: usize| {
                     let x = (column as f64 + 0.5) / scale[0] - left;
-                    let y = WINDOW[1] - (row as f64 + 0.5) / scale[1] - ORIGIN[1];
-                    shade(STROKES[glyph], [x, y])
+                    let y = WINDOW[1] - (row as f64 + 0.5) / scale[1] - face.origin[1];
+                    face.shade(STROKES[glyph], [x, y])
                 };
                 rows.clone()
                     .flat_map(|row| columns.clone().map(move |column| (row, column)))
@@ -168,18 +180,20 @@ fn characters(score: f64) -> [usize; SLOTS] {
     glyphs
 }
 
-/// How much a point is covered by strokes: full inside, fading over a window pixel at the edge.
-fn shade(strokes: &[Stroke], point: [f64; 2]) -> u8 {
-    let unit = [ADVANCE / 10.0, HEIGHT / 14.0];
-    let mut least = f64::INFINITY;
-    for stroke in strokes {
-        for ends in stroke.windows(2) {
-            let [from, to] = [0, 1].map(|end| [ends[end][0] * unit[0], ends[end][1] * unit[1]]);
-            least = least.min(distance(point, from, to));
+impl Face {
+    /// How much a point is covered by strokes: full inside, fading over a window pixel at the edge.
+    fn shade(&self, strokes: &[Stroke], point: [f64; 2]) -> u8 {
+        let unit = [self.advance / 10.0, self.height / 14.0];
+        let mut least = f64::INFINITY;
+        for stroke in strokes {
+            for ends in stroke.windows(2) {
+                let [from, to] = [0, 1].map(|end| [ends[end][0] * unit[0], ends[end][1] * unit[1]]);
+                least = least.min(distance(point, from, to));
+            }
         }
+        let cover = (self.half_stroke + 0.5 - least).clamp(0.0, 1.0);
+        (cover * f64::from(palette::SHADES - 1)).round() as u8
     }
-    let cover = (HALF_STROKE + 0.5 - least).clamp(0.0, 1.0);
-    (cover * f64::from(palette::SHADES - 1)).round() as u8
 }
 
 fn distance([x, y]: [f64; 2], from: [f64; 2], to: [f64; 2]) -> f64 {
@@ -206,7 +220,8 @@ mod tests {
     fn digits_look_different_in_the_observation() {
         let picture = |score: f64| {
             let mut canvas = Canvas::new(96, 96);
-            Text::new(96, 96).draw(&mut canvas, score, &Inks::grey());
+            let inks = Inks::grey(&palette::rgb(CarRacingVersion::V0));
+            Text::new(CarRacingVersion::V0, 96, 96).draw(&mut canvas, score, &inks);
             canvas.pixels().to_vec()
         };
         let pictures: Vec<_> = (0..10).map(|digit| picture(f64::from(digit))).collect();

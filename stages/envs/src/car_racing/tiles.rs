@@ -75,7 +75,7 @@ impl Tiles {
     }
 
     /// Looks at the car where it stands now, and books visits.
-    pub fn touch(&mut self, hull: &Motion, wheels: &[Motion; 4]) -> Contacts {
+    pub fn touch(&mut self, hull: &Motion, wheels: &[Motion]) -> Contacts {
         self.find_near(hull);
         let mut contacts = Contacts::default();
         for (i, wheel) in wheels.iter().enumerate() {

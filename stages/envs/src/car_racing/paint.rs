@@ -1,0 +1,84 @@
+//! Paints road, kerbs and car on a canvas, in the order of the original.
+
+use super::camera::Camera;
+use super::palette::{self, Colour, Inks};
+use super::raster::Canvas;
+use super::scene::Scene;
+use super::shape::{HULL, MOST_CORNERS, WHEEL_HALF};
+use super::track::Track;
+use super::tyre::SIZE;
+use super::world::Motion;
+
+/// Farthest that tile and kerb reach from the tile's way point, world units.
+const TILE_REACH: f64 = 10.0;
+/// Length of the mark on a turning wheel, radians.
+const MARK: f64 = 1.2;
+
+/// A canvas with what it takes to paint on it.
+pub struct Painter<'a> {
+    /// What is painted on.
+    pub canvas: &'a mut Canvas,
+    /// From the world to the canvas.
+    pub camera: Camera,
+    /// What is written for each colour.
+    pub inks: &'a Inks,
+    /// First row of the bar, which hides the world.
+    pub floor: usize,
+}
+
+impl Painter<'_> {
+    /// Tiles and kerbs, one after the other along the track.
+    pub fn road(&mut self, track: &Track, scene: &Scene<'_>) {
+        let mut kerbs = track.kerbs.iter().peekable();
+        for (i, (tile, at)) in track.tiles.iter().zip(&track.way_points).enumerate() {
+            let kerb = kerbs.next_if(|kerb| kerb.tile == i);
+            if !self.camera.may_see([at.x, at.y], TILE_REACH) {
+                continue;
+            }
+            let shade = if scene.faded.get(i).copied().unwrap_or(false) { 0 } else { i % 3 };
+            self.fill(&tile.map(|p| self.camera.dot(p)), palette::ROAD[shade]);
+            if let Some(kerb) = kerb {
+                let colour = if kerb.white { palette::WHITE } else { palette::KERB_RED };
+                self.fill(&kerb.corners.map(|p| self.camera.dot(p)), colour);
+            }
+        }
+    }
+
+    /// Wheels with their marks, then the hull.
+    pub fn car(&mut self, scene: &Scene<'_>) {
+        let [w, h] = WHEEL_HALF;
+        for (wheel, phase) in scene.wheels.iter().zip(scene.phases) {
+            self.part(wheel, &[[-w, h], [w, h], [w, -h], [-w, -h]], palette::BLACK);
+            if let Some([from, to]) = wheel_mark(phase) {
+                self.part(wheel, &[[-w, from], [w, from], [w, to], [-w, to]], palette::WHEEL_MARK);
+            }
+        }
+        for outline in HULL {
+            self.part(&scene.hull, outline, palette::HULL);
+        }
+    }
+
+    /// A part of the car, given in units of [`SIZE`] in the frame of its body.
+    fn part(&mut self, body: &Motion, outline: &[[f64; 2]], colour: Colour) {
+        let mut dots = [[0.0; 2]; MOST_CORNERS];
+        for (dot, corner) in dots.iter_mut().zip(outline) {
+            *dot = self.camera.dot(body.point(corner.map(|v| v * SIZE)));
+        }
+        self.fill(&dots[..outline.len()], colour);
+    }
+
+    fn fill(&mut self, dots: &[[f64; 2]], colour: Colour) {
+        self.canvas.fill(dots, self.inks.of(colour), self.floor);
+    }
+}
+
+/// From where to where along a wheel its mark is seen, in units of [`SIZE`]; none while it is underneath.
+fn wheel_mark(phase: f64) -> Option<[f64; 2]> {
+    let ends = [phase, phase + MARK].map(f64::sin_cos);
+    if ends.iter().all(|(sin, _)| *sin > 0.0) {
+        return None;
+    }
+    // The end that is underneath shows at the wheel's edge.
+    let seen = |(sin, cos): (f64, f64)| if sin > 0.0 { cos.signum() } else { cos };
+    Some(ends.map(|end| seen(end) * WHEEL_HALF[1]))
+}

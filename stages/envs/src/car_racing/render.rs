@@ -1,0 +1,195 @@
+//! Draws a scene as gym's CarRacing-v0 or as Gymnasium's CarRacing-v3.
+//!
+//! Version 0 draws plain polygons with one sample per pixel, and its view follows the velocity. Version 3 draws a window
+//! of 1000 x 800 and shrinks it by area averaging, and its view follows the hull; here 4 x 4 samples per pixel stand for
+//! the window's 87.
+
+use super::camera::{Camera, WINDOW};
+use super::paint::Painter;
+use super::palette::{self, Inks};
+use super::raster::{Canvas, Sampling};
+use super::scene::Scene;
+use super::text::Text;
+use super::track::Track;
+use super::{grass, indicators};
+use crate::CarRacingVersion;
+
+/// Rows of the bar in eighths of the picture.
+const BAR: usize = 8;
+/// Samples per pixel and axis where a picture is averaged.
+pub const SAMPLES: usize = 4;
+/// Rows of samples are shifted against each other, so that upright edges fall on 16 levels instead of 4.
+const SHIFTS: [f64; 4] = [-0.375, 0.125, -0.125, 0.375];
+/// The later version fills polygons up to and with the pixels on their edge: half a window pixel more on each side.
+const GROWTH: f64 = 0.5;
+/// Levels that the later version's shrinking loses: one in each of its two passes.
+const SHRINK_LOSS: u8 = 2;
+
+/// Grey levels or colours?
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Output {
+    /// One byte per pixel.
+    Grey,
+    /// Red, green and blue per pixel.
+    Rgb,
+}
+
+/// A picture and how to draw it. Nothing is allocated after [`Renderer::new`].
+#[derive(Clone, Debug)]
+pub struct Renderer {
+    version: CarRacingVersion,
+    output: Output,
+    samples: usize,
+    canvas: Canvas,
+    inks: Inks,
+    colours: [[u8; 3]; palette::COUNT],
+    text: Text,
+    pixels: Vec<u8>,
+}
+
+impl Renderer {
+    /// Pictures as the original observes them, `width` x `height`.
+    pub fn new(version: CarRacingVersion, output: Output, [width, height]: [usize; 2]) -> Self {
+        let samples = match version {
+            CarRacingVersion::V0 => 1,
+            CarRacingVersion::V3 => SAMPLES,
+        };
+        Self::with_samples(version, output, [width, height], samples)
+    }
+
+    /// Pictures with `samples` x `samples` samples per pixel.
+    pub fn with_samples(
+        version: CarRacingVersion,
+        output: Output,
+        [width, height]: [usize; 2],
+        samples: usize,
+    ) -> Self {
+        let samples = samples.max(1);
+        let window_pixel = (width * samples) as f64 / WINDOW[0];
+        let sampling = Sampling {
+            shifts: if samples == 1 { [0.0; 4] } else { SHIFTS },
+            growth: if version == CarRacingVersion::V3 { GROWTH * window_pixel } else { 0.0 },
+        };
+        let (colours, channels) = (palette::rgb(version), if output == Output::Grey { 1 } else { 3 });
+        Self {
+            version,
+            output,
+            samples,
+            canvas: Canvas::with_sampling(width * samples, height * samples, sampling),
+            inks: if output == Output::Grey { Inks::grey(&colours) } else { Inks::indices() },
+            colours,
+            text: Text::new(version, width * samples, height * samples),
+            pixels: vec![0; width * height * channels],
+        }
+    }
+
+    /// The last picture drawn, row-major, row 0 on top.
+    pub fn pixels(&self) -> &[u8] {
+        if self.is_direct() { self.canvas.pixels() } else { &self.pixels }
+    }
+
+    /// Draws the scene.
+    pub fn draw(&mut self, track: &Track, scene: &Scene<'_>) {
+        let size = [self.canvas.width(), self.canvas.height()];
+        let camera = match self.version {
+            CarRacingVersion::V0 => Camera::following_velocity(scene, size),
+            CarRacingVersion::V3 => Camera::following_hull(scene, size),
+        };
+        let floor = size[1] - size[1] / BAR;
+        grass::draw(&mut self.canvas, &camera, &self.inks, floor);
+        let mut painter = Painter { canvas: &mut self.canvas, camera, inks: &self.inks, floor };
+        painter.road(track, scene);
+        painter.car(scene);
+        indicators::draw(&mut self.canvas, scene, &self.inks, self.version);
+        self.text.draw(&mut self.canvas, scene.score, &self.inks);
+        if !self.is_direct() {
+            self.develop();
+        }
+    }
+
+    /// True where the canvas is the picture.
+    fn is_direct(&self) -> bool {
+        self.output == Output::Grey && self.samples == 1
+    }
+
+    /// Averages the canvas into the picture.
+    fn develop(&mut self) {
+        let loss = if self.version == CarRacingVersion::V3 { SHRINK_LOSS } else { 0 };
+        match (self.output, self.samples) {
+            (Output::Grey, SAMPLES) => shrink_grey(&self.canvas, loss, &mut self.pixels),
+            (Output::Grey, samples) => average(&self.canvas, samples, loss, |ink| [ink], &mut self.pixels),
+            (Output::Rgb, samples) => {
+                let colours = &self.colours;
+                average(&self.canvas, samples, loss, |ink| colours[ink as usize], &mut self.pixels);
+            }
+        }
+    }
+}
+
+/// Averages squares of `samples` x `samples`; `look_up` gives the channels of a sample.
+fn average<const N: usize>(
+    canvas: &Canvas,
+    samples: usize,
+    loss: u8,
+    look_up: impl Fn(u8) -> [u8; N],
+    to: &mut [u8],
+) {
+    let columns = canvas.width() / samples;
+    for (at, pixel) in to.chunks_exact_mut(N).enumerate() {
+        let (row, column) = (at / columns, at % columns);
+        let mut sums = [0u32; N];
+        for line in row * samples..(row + 1) * samples {
+            let from = line * canvas.width() + column * samples;
+            for ink in &canvas.pixels()[from..from + samples] {
+                for (sum, level) in sums.iter_mut().zip(look_up(*ink)) {
+                    *sum += u32::from(level);
+                }
+            }
+        }
+        for (level, sum) in pixel.iter_mut().zip(sums) {
+            *level = ((sum / (samples * samples) as u32) as u8).saturating_sub(loss);
+        }
+    }
+}
+
+/// [`average`] for grey levels and [`SAMPLES`], in a form that the compiler turns into vector code.
+fn shrink_grey(canvas: &Canvas, loss: u8, to: &mut [u8]) {
+    let width = canvas.width();
+    let columns = width / SAMPLES;
+    for (row, line) in to.chunks_exact_mut(columns).enumerate() {
+        let from = &canvas.pixels()[row * SAMPLES * width..(row + 1) * SAMPLES * width];
+        let (top, bottom) = from.split_at(2 * width);
+        let ((a, b), (c, d)) = (top.split_at(width), bottom.split_at(width));
+        let squares = a.as_chunks().0.iter().zip(b.as_chunks().0).zip(c.as_chunks().0).zip(d.as_chunks().0);
+        for (pixel, (((a, b), c), d)) in line.iter_mut().zip(squares) {
+            let a: &[u8; SAMPLES] = a;
+            let (b, c, d): (&[u8; SAMPLES], &[u8; SAMPLES], &[u8; SAMPLES]) = (b, c, d);
+            let sum: u16 = (0..SAMPLES)
+                .map(|i| u16::from(a[i]) + u16::from(b[i]) + u16::from(c[i]) + u16::from(d[i]))
+                .sum();
+            *pixel = ((sum / (SAMPLES * SAMPLES) as u16) as u8).saturating_sub(loss);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn the_fast_average_is_the_plain_one(seed in prop::collection::vec(any::<u8>(), 64)) {
+            let mut canvas = Canvas::new(8 * SAMPLES, 2 * SAMPLES);
+            for row in 0..canvas.height() {
+                for (column, pixel) in canvas.row_mut(row).iter_mut().enumerate() {
+                    *pixel = seed[(row * 7 + column * 3) % seed.len()];
+                }
+            }
+            let (mut fast, mut plain) = ([0; 16], [0; 16]);
+            shrink_grey(&canvas, 2, &mut fast);
+            average(&canvas, SAMPLES, 2, |ink| [ink], &mut plain);
+            prop_assert_eq!(fast, plain);
+        }
+    }
+}
