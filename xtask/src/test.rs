@@ -9,42 +9,32 @@ use crate::{libtorch, process};
 /// One check: what it is called in the summary, and cargo's arguments.
 struct Step {
     name: &'static str,
-    args: &'static [&'static str],
+    args: &'static str,
     /// A toolchain component that may be missing, by its cargo command and its name in rustup.
     component: Option<(&'static str, &'static str)>,
 }
 
 const STEPS: [Step; 5] = [
-    Step { name: "format", args: &["fmt", "--all", "--check"], component: Some(("fmt", "rustfmt")) },
+    Step { name: "format", args: "fmt --all --check", component: Some(("fmt", "rustfmt")) },
     // The engine builds and passes without rapier2d and libtorch, so its failures show within seconds.
     Step {
         name: "engine",
-        args: &["test", "--package", "dril-pipe", "--no-default-features"],
+        args: "test --no-fail-fast --package dril-pipe --no-default-features",
         component: None,
     },
     Step {
         name: "small packages",
-        args: &["test", "--package", "xtask", "--package", "dril-stage-api", "--package", "dril-report"],
+        args: "test --no-fail-fast --package xtask --package dril-stage-api --package dril-report",
         component: None,
     },
     Step {
         name: "lints",
-        args: &["clippy", "--workspace", "--all-targets", "--", "--deny", "warnings"],
+        args: "clippy --workspace --all-targets --keep-going -- --deny warnings",
         component: Some(("clippy", "clippy")),
     },
     Step {
         name: "workspace",
-        args: &[
-            "test",
-            "--workspace",
-            "--no-fail-fast",
-            "--exclude",
-            "xtask",
-            "--exclude",
-            "dril-stage-api",
-            "--exclude",
-            "dril-report",
-        ],
+        args: "test --no-fail-fast --workspace --exclude xtask --exclude dril-stage-api --exclude dril-report",
         component: None,
     },
 ];
@@ -73,13 +63,10 @@ fn run_step(root: &Path, step: &Step) -> (&'static str, Outcome, Duration) {
     println!();
     let outcome = match step.component {
         Some((command, component)) if !is_installed(root, command) => {
-            println!(
-                "SKIPPED `{}`: `rustup component add {component}` would install it",
-                step.args.join(" ")
-            );
+            println!("SKIPPED `{}`: `rustup component add {component}` would install it", step.args);
             Outcome::Skipped
         }
-        _ => match process::run(&mut process::cargo(root, step.args)) {
+        _ => match process::run(&mut process::cargo(root, &step.args.split(' ').collect::<Vec<_>>())) {
             Ok(()) => Outcome::Passed,
             Err(error) => {
                 eprintln!("error: {error}");
@@ -133,7 +120,8 @@ mod tests {
     #[test]
     fn packages_tested_early_are_left_out_of_the_last_step_and_no_others() {
         let after = |step: &Step, flag: &str| -> Vec<&str> {
-            step.args.windows(2).filter(|pair| pair[0] == flag).map(|pair| pair[1]).collect()
+            let words: Vec<_> = step.args.split(' ').collect();
+            words.windows(2).filter(|pair| pair[0] == flag).map(|pair| pair[1]).collect()
         };
         assert_eq!(after(&STEPS[2], "--package"), after(&STEPS[4], "--exclude"));
     }
