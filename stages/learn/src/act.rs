@@ -1,0 +1,228 @@
+//! Acting: from a batch of observations to actions, and playing listed episodes several at a time.
+
+use dril_envs::{Env, EnvConfig, EnvError, Frame, Outcome};
+use dril_stage_api::{Seed, StageError, StreamRng};
+use rand::RngExt;
+use tch::Tensor;
+
+use crate::fast::memory;
+use crate::frames::FrameStore;
+use crate::policy::{Policy, to_action};
+
+pub use dril_kinds::Mode;
+
+/// What acting on a batch gave; row-major, one row for each observation.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Acted {
+    /// Samples in the distribution's own scale, [batch · actions].
+    pub samples: Vec<f32>,
+    /// Their log-densities, [batch].
+    pub log_probs: Vec<f32>,
+    /// State values, [batch].
+    pub values: Vec<f32>,
+    /// Actions in the environment's scale, not clipped, [batch · actions].
+    pub actions: Vec<f32>,
+}
+
+/// Samples an action for every observation, or with probability `mean_action_probability` (one draw for the whole
+/// batch, from the same stream) takes the mean everywhere, as the DRIL reference does with 0.1.
+pub fn act(
+    policy: &Policy,
+    observations: &Tensor,
+    mean_action_probability: f64,
+    stream: &mut StreamRng,
+) -> Acted {
+    tch::no_grad(|| {
+        let forward = policy.forward(observations);
+        let rows = forward.distribution.rows();
+        let (batch, dims) = (observations.size()[0] as usize, policy.architecture().actions);
+        let mean = draws_mean(mean_action_probability, stream);
+        let mut samples = vec![0.0; batch * dims];
+        for (row, sample) in samples.chunks_exact_mut(dims).enumerate() {
+            if mean { rows.mean(row, sample) } else { rows.sample(row, stream, sample) }
+        }
+        let tensor = Tensor::from_slice(&samples).view([batch as i64, dims as i64]);
+        let log_probs = forward.distribution.log_prob(&tensor);
+        let family = policy.architecture().family;
+        Acted {
+            log_probs: memory::values(&log_probs.contiguous()).to_vec(),
+            values: memory::values(&forward.values.contiguous()).to_vec(),
+            actions: samples.iter().map(|&sample| to_action(family, sample)).collect(),
+            samples,
+        }
+    })
+}
+
+/// No draw is made where the probability is 0.
+fn draws_mean(probability: f64, stream: &mut StreamRng) -> bool {
+    probability > 0.0 && stream.random::<f64>() < probability
+}
+
+/// How a list of episodes is played.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Play {
+    /// Mean or samples.
+    pub mode: Mode,
+    /// In stochastic mode, the probability of the mean action, drawn at each step of each episode.
+    pub mean_action_probability: f64,
+    /// Episode `i` is played on track seed `first_track_seed + i`.
+    pub first_track_seed: u64,
+    /// How many episodes the list has.
+    pub episodes: usize,
+    /// True where observations and actions are kept.
+    pub record: bool,
+}
+
+/// An episode that was played to its end.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Played {
+    /// Its position in the list.
+    pub index: usize,
+    /// Its track.
+    pub track_seed: u64,
+    /// The sum of its rewards.
+    pub score: f64,
+    /// Its steps.
+    pub steps: u64,
+    /// How it ended.
+    pub outcome: Outcome,
+    /// Where recorded: the frame before each action, as bytes; empty where observations are vectors.
+    pub frames: Vec<u8>,
+    /// Where recorded: the vector before each action; empty where observations are frames.
+    pub vectors: Vec<f32>,
+    /// Where recorded: the actions as the policy gave them, not clipped.
+    pub actions: Vec<f32>,
+}
+
+/// How many episodes are played side by side. A constant: torch's sums depend on the shape of a batch, so another width
+/// gives other last bits. Episode `i` is always played in row `i mod WIDTH` of a full batch, and a row's result does not
+/// depend on what the other rows hold; so an episode's score depends on the policy, its track seed, its own stream and
+/// its row, and not on how many episodes there are or how long the others last.
+pub const WIDTH: usize = 8;
+
+/// Plays episodes of a list, [`WIDTH`] at a time.
+pub struct Player<'a> {
+    policy: &'a Policy,
+    play: Play,
+    seed: Seed,
+    rows: Vec<Row>,
+    frames: FrameStore,
+    depth: usize,
+}
+
+/// One row of the batch.
+struct Row {
+    env: Box<dyn Env>,
+    /// The running episode; none where the list is used up.
+    episode: Option<(Played, StreamRng)>,
+    /// The next one of this row.
+    next: usize,
+}
+
+impl<'a> Player<'a> {
+    /// A player for `policy` in environments of `env`; the actions of episode `i` come from the stream `action` of the
+    /// seed's child `episode/i`.
+    ///
+    /// # Errors
+    /// The environment cannot be built, or shows or takes something else than the policy knows.
+    pub fn new(policy: &'a Policy, env: &EnvConfig, play: Play, seed: Seed) -> Result<Self, StageError> {
+        crate::spaces::check(policy, env)?;
+        let envs = (0..WIDTH).map(|_| env.build()).collect::<Result<Vec<_>, EnvError>>();
+        Ok(Self::with(policy, envs.map_err(StageError::failed)?, play, seed))
+    }
+
+    /// As [`Player::new`], with [`WIDTH`] environments that are there already.
+    fn with(policy: &'a Policy, envs: Vec<Box<dyn Env>>, play: Play, seed: Seed) -> Self {
+        let rows = envs.into_iter().enumerate().map(|(row, env)| Row { env, episode: None, next: row });
+        let observation = policy.architecture().observation;
+        let depth = observation.stack();
+        let frames = FrameStore::with_slots(observation, WIDTH * depth);
+        Self { policy, play, seed, rows: rows.collect(), frames, depth }
+    }
+
+    /// One step of every running episode; gives those that ended with it, in the order of the rows, or `None` once the
+    /// list is used up.
+    ///
+    /// # Errors
+    /// The environment's.
+    pub fn step(&mut self) -> Result<Option<Vec<Played>>, StageError> {
+        self.step_rows().map_err(StageError::failed)
+    }
+
+    fn step_rows(&mut self) -> Result<Option<Vec<Played>>, EnvError> {
+        for row in 0..WIDTH {
+            self.start_next(row)?;
+        }
+        if self.rows.iter().all(|row| row.episode.is_none()) {
+            return Ok(None);
+        }
+        let actions = self.actions();
+        let mut ended = Vec::new();
+        for (row, action) in actions.chunks_exact(self.policy.architecture().actions).enumerate() {
+            ended.extend(self.act(row, action)?);
+        }
+        Ok(Some(ended))
+    }
+
+    /// Starts the row's next episode, where none is running and the list has one.
+    fn start_next(&mut self, index: usize) -> Result<(), EnvError> {
+        let row = &mut self.rows[index];
+        if row.episode.is_some() || row.next >= self.play.episodes {
+            return Ok(());
+        }
+        let episode = row.next;
+        row.next += WIDTH;
+        let track_seed = self.play.first_track_seed.wrapping_add(episode as u64);
+        row.env.reset(track_seed)?;
+        let played = Played {
+            index: episode,
+            track_seed,
+            score: 0.0,
+            steps: 0,
+            outcome: Outcome::Running,
+            frames: Vec::new(),
+            vectors: Vec::new(),
+            actions: Vec::new(),
+        };
+        row.episode = Some((played, self.seed.child(&format!("episode/{episode}")).stream("action")));
+        self.frames.set(index * self.depth + self.depth - 1, row.env.frame(), true);
+        Ok(())
+    }
+
+    /// Actions for every row, not clipped; rows whose list is used up act on what they saw last, and nobody asks.
+    fn actions(&mut self) -> Vec<f32> {
+        let architecture = self.policy.architecture();
+        let slots: Vec<usize> = (0..WIDTH).map(|row| row * self.depth + self.depth - 1).collect();
+        let observations = self.frames.gather(&slots);
+        let rows = tch::no_grad(|| self.policy.distribution(&observations).rows());
+        let mut samples = vec![0.0; WIDTH * architecture.actions];
+        for (index, sample) in samples.chunks_exact_mut(architecture.actions).enumerate() {
+            let Some((_, stream)) = &mut self.rows[index].episode else { continue };
+            let mean = self.play.mode == Mode::Deterministic
+                || draws_mean(self.play.mean_action_probability, stream);
+            if mean { rows.mean(index, sample) } else { rows.sample(index, stream, sample) }
+        }
+        samples.into_iter().map(|sample| to_action(architecture.family, sample)).collect()
+    }
+
+    /// Acts in one row; gives its episode where that ended it.
+    fn act(&mut self, index: usize, action: &[f32]) -> Result<Option<Played>, EnvError> {
+        let row = &mut self.rows[index];
+        let Some((played, _)) = &mut row.episode else { return Ok(None) };
+        if self.play.record {
+            match row.env.frame() {
+                Frame::Image(pixels) => played.frames.extend_from_slice(pixels),
+                Frame::Vector(vector) => played.vectors.extend_from_slice(vector),
+            }
+            played.actions.extend_from_slice(action);
+        }
+        let step = row.env.step(action)?;
+        played.score += step.reward;
+        played.steps += 1;
+        played.outcome = step.outcome;
+        let newest = index * self.depth + self.depth - 1;
+        self.frames.shift(newest, self.depth);
+        self.frames.set(newest, row.env.frame(), false);
+        Ok(if step.outcome.ended() { row.episode.take().map(|(played, _)| played) } else { None })
+    }
+}

@@ -1,0 +1,66 @@
+//! The stage that plays the episodes of a fixed list and writes their scores.
+//!
+//! Every agent plays the same tracks, one episode each, whatever its length; see [`crate::act::WIDTH`] for why an
+//! episode's score does not depend on the others.
+
+use dril_envs::Outcome;
+use dril_kinds::{Evaluate, EvaluateParams};
+use dril_stage_api::scores::{self, ScoreRow};
+use dril_stage_api::{Ctx, Stage, StageError};
+
+use crate::act::{Play, Played, Player};
+use crate::fast;
+use crate::policy::Policy;
+
+/// Runs the kind `evaluate`.
+pub struct EvaluateStage;
+
+impl Stage for EvaluateStage {
+    type Kind = Evaluate;
+
+    fn run(params: &EvaluateParams, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
+        fast::prepare();
+        let policy = Policy::load("policy", ctx.input("policy")?)?;
+        let play = Play {
+            mode: params.mode,
+            mean_action_probability: params.mean_action_probability,
+            first_track_seed: params.first_track_seed,
+            episodes: params.episodes as usize,
+            record: false,
+        };
+        let mut player = Player::new(&policy, &params.env, play, ctx.seed())?;
+        let mut rows = Vec::new();
+        while let Some(ended) = player.step()? {
+            rows.extend(ended.iter().map(row));
+            ctx.progress(rows.len() as u64, params.episodes, "episodes", || mean(&rows));
+            ctx.stop_if_cancelled()?;
+        }
+        rows.sort_by_key(|row: &ScoreRow| row.episode);
+        scores::write(ctx.output("scores")?, &rows)
+    }
+}
+
+fn row(played: &Played) -> ScoreRow {
+    ScoreRow {
+        episode: played.index,
+        track_seed: played.track_seed,
+        score: played.score,
+        steps: played.steps,
+        outcome: outcome(played.outcome).to_owned(),
+    }
+}
+
+/// The word for an outcome in the table of scores.
+fn outcome(outcome: Outcome) -> &'static str {
+    match outcome {
+        Outcome::Running => "running",
+        Outcome::Finished => "finished",
+        Outcome::Failed => "failed",
+        Outcome::TimeLimit => "time-limit",
+    }
+}
+
+fn mean(rows: &[ScoreRow]) -> String {
+    let sum: f64 = rows.iter().map(|row| row.score).sum();
+    if rows.is_empty() { String::new() } else { format!("score {:.0}", sum / rows.len() as f64) }
+}

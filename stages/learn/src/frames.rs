@@ -1,0 +1,175 @@
+//! What agents have seen, kept once: single frames as bytes, from which stacks are gathered for each minibatch.
+//!
+//! A buffer of stacks in floating point would take sixteen times the memory. A frame's predecessor lies in the slot
+//! before it, and each slot knows how many frames of its own episode precede it, so a stack never reaches into another
+//! episode: planes before the first frame are black, as in the reference.
+
+use dril_envs::Frame;
+use dril_stage_api::StageError;
+use tch::{Device, Kind, Tensor};
+
+use crate::checkpoint::{Arrays, foreign};
+use crate::fast::{layout, memory};
+use crate::net::Observation;
+
+/// Frames (or observation vectors) in numbered slots.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FrameStore {
+    observation: Observation,
+    /// Frames in blocks (see [`layout`]), one slot after the other; empty for vectors.
+    bytes: Vec<u8>,
+    /// Vectors, one slot after the other; empty for frames.
+    numbers: Vec<f32>,
+    /// How many frames of the same episode precede each one, at most one less than the stack.
+    ages: Vec<u8>,
+}
+
+impl FrameStore {
+    /// A store without slots.
+    pub fn new(observation: Observation) -> Self {
+        Self { observation, bytes: Vec::new(), numbers: Vec::new(), ages: Vec::new() }
+    }
+
+    /// A store with that many empty slots, to be filled by [`FrameStore::set`].
+    pub fn with_slots(observation: Observation, slots: usize) -> Self {
+        let mut store = Self::new(observation);
+        store.resize(slots);
+        store
+    }
+
+    /// What the slots hold.
+    pub fn observation(&self) -> Observation {
+        self.observation
+    }
+
+    /// How many slots there are.
+    pub fn len(&self) -> usize {
+        self.ages.len()
+    }
+
+    /// True where there is no slot.
+    pub fn is_empty(&self) -> bool {
+        self.ages.is_empty()
+    }
+
+    /// Appends a frame and gives its slot. `first`: an episode starts with it.
+    pub fn push(&mut self, frame: Frame<'_>, first: bool) -> usize {
+        let slot = self.len();
+        self.resize(slot + 1);
+        self.set(slot, frame, first);
+        slot
+    }
+
+    /// Puts a frame into a slot. `first`: an episode starts with it; otherwise the frame before it must lie in the slot
+    /// before. The frame has the size that the store was made for.
+    pub fn set(&mut self, slot: usize, frame: Frame<'_>, first: bool) {
+        let deepest = self.observation.stack().saturating_sub(1) as u8;
+        self.ages[slot] = if first || slot == 0 { 0 } else { (self.ages[slot - 1] + 1).min(deepest) };
+        match (self.observation, frame) {
+            (Observation::Images { height, width, .. }, Frame::Image(pixels)) => {
+                let size = height * width;
+                let blocked = &mut self.bytes[slot * size..][..size];
+                layout::block_frame(pixels, (height, width), blocked);
+            }
+            (Observation::Vector { len }, Frame::Vector(vector)) => {
+                self.numbers[slot * len..][..len].copy_from_slice(vector);
+            }
+            _ => {}
+        }
+    }
+
+    /// Makes room at `newest` in a window of `count` slots that ends there: every slot moves one back, the oldest falls
+    /// out.
+    pub fn shift(&mut self, newest: usize, count: usize) {
+        if count > 1 {
+            self.carry(newest, count - 1, newest + 1 - count);
+        }
+    }
+
+    /// Copies the newest `count` slots up to and including `last`, with their ages, to the slots from `to` on: where a
+    /// buffer is filled anew, its stacks go on.
+    pub fn carry(&mut self, last: usize, count: usize, to: usize) {
+        let from = last + 1 - count;
+        self.ages.copy_within(from..=last, to);
+        let (bytes, numbers) = (self.frame_bytes(), self.frame_numbers());
+        self.bytes.copy_within(from * bytes..(last + 1) * bytes, to * bytes);
+        self.numbers.copy_within(from * numbers..(last + 1) * numbers, to * numbers);
+    }
+
+    /// The observations whose newest frames lie in `slots`, as a network takes them: [slots, stack·16, height/4,
+    /// width/4] in 0..=255 for frames in blocks, [slots, len] for vectors.
+    pub fn gather(&self, slots: &[usize]) -> Tensor {
+        match self.observation {
+            Observation::Images { height, width, stack } => {
+                let block = layout::BLOCK;
+                let channels = stack * block * block;
+                let shape = [slots.len(), channels, height / block, width / block];
+                let mut batch = Tensor::empty(shape.map(|n| n as i64), (Kind::Float, Device::Cpu));
+                let stacks = memory::values_mut(&mut batch).chunks_exact_mut(stack * height * width);
+                stacks.zip(slots).for_each(|(planes, &slot)| self.gather_stack(slot, planes));
+                batch
+            }
+            Observation::Vector { len } => {
+                let mut batch = Tensor::empty([slots.len() as i64, len as i64], (Kind::Float, Device::Cpu));
+                let rows = memory::values_mut(&mut batch).chunks_exact_mut(len);
+                rows.zip(slots)
+                    .for_each(|(row, &slot)| row.copy_from_slice(&self.numbers[slot * len..][..len]));
+                batch
+            }
+        }
+    }
+
+    /// Adds its content to a checkpoint, under names that begin with `name`.
+    pub fn save(&self, name: &str, arrays: &mut Arrays) {
+        arrays.put(&format!("{name}.bytes"), self.bytes.clone());
+        arrays.put_f32(&format!("{name}.numbers"), &self.numbers);
+        arrays.put(&format!("{name}.ages"), self.ages.clone());
+    }
+
+    /// Takes its content from a checkpoint.
+    ///
+    /// # Errors
+    /// The checkpoint is of a store of another size.
+    pub fn restore(&mut self, name: &str, arrays: &mut Arrays) -> Result<(), StageError> {
+        let numbers = arrays.take_f32(&format!("{name}.numbers"), self.numbers.len())?;
+        let (bytes, ages) = (arrays.take(&format!("{name}.bytes"))?, arrays.take(&format!("{name}.ages"))?);
+        if bytes.len() != self.bytes.len() || ages.len() != self.ages.len() {
+            return Err(foreign("the frames have another size"));
+        }
+        (self.bytes, self.numbers, self.ages) = (bytes, numbers, ages);
+        Ok(())
+    }
+
+    /// Oldest plane first.
+    fn gather_stack(&self, slot: usize, planes: &mut [f32]) {
+        let (size, stack) = (self.frame_bytes(), self.observation.stack());
+        for (position, plane) in planes.chunks_exact_mut(size).enumerate() {
+            let back = stack - 1 - position;
+            if back > usize::from(self.ages[slot]) {
+                plane.fill(0.0);
+            } else {
+                layout::widen(&self.bytes[(slot - back) * size..][..size], plane);
+            }
+        }
+    }
+
+    fn frame_bytes(&self) -> usize {
+        match self.observation {
+            Observation::Images { height, width, .. } => height * width,
+            Observation::Vector { .. } => 0,
+        }
+    }
+
+    fn frame_numbers(&self) -> usize {
+        match self.observation {
+            Observation::Images { .. } => 0,
+            Observation::Vector { len } => len,
+        }
+    }
+
+    fn resize(&mut self, slots: usize) {
+        self.bytes.resize(slots * self.frame_bytes(), 0);
+        self.numbers.resize(slots * self.frame_numbers(), 0.0);
+        self.ages.resize(slots, 0);
+    }
+}

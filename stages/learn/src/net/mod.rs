@@ -1,0 +1,130 @@
+//! The networks: what they look at, how they are built, and their parameters.
+//!
+//! - [`Observation`] and [`Network`]: which of the thesis's networks, for which input.
+//! - [`Trunk`]: its layers without the policy's head, which the policy family adds.
+//! - [`Parameters`]: the weights, as tensors and as one flat buffer; [`weights`]: the same as a file.
+
+mod init;
+mod layers;
+mod params;
+pub mod weights;
+
+use serde::{Deserialize, Serialize};
+use tch::Tensor;
+
+pub use dril_kinds::Network;
+pub use init::Init;
+pub use layers::{Activation, Builder, LayerInit, Sequential};
+pub use params::{Gradients, ParamId, ParamSpec, Parameters};
+
+/// What an agent sees.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Observation {
+    /// The last `stack` grey frames, oldest first, black before the episode's first.
+    Images {
+        /// Rows of a frame, a multiple of 4.
+        height: usize,
+        /// Columns of a frame, a multiple of 4.
+        width: usize,
+        /// Frames in a stack.
+        stack: usize,
+    },
+    /// A list of numbers.
+    Vector {
+        /// How many.
+        len: usize,
+    },
+}
+
+impl Observation {
+    /// Frames that are seen at once; 1 for vectors.
+    pub fn stack(self) -> usize {
+        match self {
+            Self::Images { stack, .. } => stack,
+            Self::Vector { .. } => 1,
+        }
+    }
+}
+
+/// True where the network takes such input.
+pub fn takes(network: Network, observation: Observation) -> bool {
+    matches!(observation, Observation::Images { .. }) == (network != Network::Mlp)
+}
+
+/// A network without the policy's head: shared layers, then the actor's and the critic's own.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Trunk {
+    shared: Sequential,
+    actor: Sequential,
+    critic: Sequential,
+    /// How many features the actor's last layer gives to the head.
+    pub features: usize,
+}
+
+impl Trunk {
+    /// Describes the layers of `network`.
+    pub fn build(build: &mut Builder, network: Network, observation: Observation) -> Self {
+        match (network, observation) {
+            (Network::ExpertCnn, Observation::Images { height, width, stack }) => {
+                expert_cnn(build, (stack, height, width))
+            }
+            (_, Observation::Images { height, width, stack }) => dril_cnn(build, (stack, height, width)),
+            (_, Observation::Vector { len }) => mlp(build, len),
+        }
+    }
+
+    /// What the actor's last layer gives, [batch, features].
+    pub fn actor(&self, params: &Parameters, input: &Tensor) -> Tensor {
+        self.actor.forward(params, &self.shared.forward(params, input))
+    }
+
+    /// The state value, [batch].
+    pub fn critic(&self, params: &Parameters, input: &Tensor) -> Tensor {
+        self.critic.forward(params, &self.shared.forward(params, input)).squeeze_dim(1)
+    }
+
+    /// Both, with the shared layers computed once.
+    pub fn both(&self, params: &Parameters, input: &Tensor) -> (Tensor, Tensor) {
+        let shared = self.shared.forward(params, input);
+        (self.actor.forward(params, &shared), self.critic.forward(params, &shared).squeeze_dim(1))
+    }
+}
+
+fn expert_cnn(build: &mut Builder, image: (usize, usize, usize)) -> Trunk {
+    use Activation::{Linear, Relu};
+    let init = LayerInit::Orthogonal(std::f32::consts::SQRT_2);
+    let (mut shared, pixels) = build.convolutions("conv", image, [32, 64, 32], init);
+    build.linear(&mut shared, "shared", (pixels, 512), init, Relu);
+    let (mut actor, mut critic) = (Sequential::default(), Sequential::default());
+    build.linear(&mut actor, "actor.0", (512, 512), init, Relu);
+    // The reference has no activation here, so the head's matrix is a product of two.
+    build.linear(&mut actor, "actor.1", (512, 512), init, Linear);
+    build.linear(&mut critic, "critic.0", (512, 512), init, Relu);
+    build.linear(&mut critic, "critic.1", (512, 1), LayerInit::Orthogonal(1.0), Linear);
+    Trunk { shared, actor, critic, features: 512 }
+}
+
+fn dril_cnn(build: &mut Builder, image: (usize, usize, usize)) -> Trunk {
+    use Activation::{Linear, Relu};
+    let init = LayerInit::Default;
+    let (shared, pixels) = build.convolutions("conv", image, [32, 64, 64], init);
+    let (mut actor, mut critic) = (Sequential::default(), Sequential::default());
+    build.linear(&mut actor, "actor.0", (pixels, 512), init, Relu);
+    build.linear(&mut actor, "actor.1", (512, 512), init, Relu);
+    build.linear(&mut critic, "critic.0", (pixels, 512), init, Relu);
+    build.linear(&mut critic, "critic.1", (512, 1), init, Linear);
+    Trunk { shared, actor, critic, features: 512 }
+}
+
+fn mlp(build: &mut Builder, len: usize) -> Trunk {
+    use Activation::{Linear, Tanh};
+    let init = LayerInit::Orthogonal(std::f32::consts::SQRT_2);
+    let (mut actor, mut critic) = (Sequential::default(), Sequential::default());
+    build.linear(&mut actor, "actor.0", (len, 64), init, Tanh);
+    build.linear(&mut actor, "actor.1", (64, 64), init, Tanh);
+    build.linear(&mut critic, "critic.0", (len, 64), init, Tanh);
+    build.linear(&mut critic, "critic.1", (64, 64), init, Tanh);
+    build.linear(&mut critic, "critic.2", (64, 1), init, Linear);
+    Trunk { shared: Sequential::default(), actor, critic, features: 64 }
+}

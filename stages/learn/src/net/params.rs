@@ -1,0 +1,119 @@
+//! The parameters of a network: named tensors that share one flat buffer.
+//!
+//! Each parameter is a leaf of autograd and at the same time a window on the flat buffer, so that saving, restoring and
+//! the optimizer walk over plain slices, and gradients come out of [`Parameters::gradients`] without torch's
+//! accumulation into `.grad`.
+
+use dril_stage_api::StreamRng;
+use tch::{Device, Kind, Tensor};
+
+use super::Init;
+use crate::fast::memory;
+
+/// The position of a parameter in its [`Parameters`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct ParamId(pub(crate) usize);
+
+/// What a parameter is called, its shape and how it begins.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ParamSpec {
+    /// Its name in the weights file, as `actor.0.weight`.
+    pub name: String,
+    /// Its dimensions.
+    pub shape: Vec<i64>,
+    /// How it begins.
+    pub init: Init,
+}
+
+/// One gradient for each parameter asked for; `None` where the loss does not depend on it.
+pub type Gradients = Vec<Option<Tensor>>;
+
+/// The parameters of a network.
+#[derive(Debug)]
+pub struct Parameters {
+    specs: Vec<ParamSpec>,
+    offsets: Vec<usize>,
+    flat: Tensor,
+    tensors: Vec<Tensor>,
+}
+
+impl Parameters {
+    /// Makes the parameters and draws their first values from the stream, in the order of the list; without a stream
+    /// they are zeros, to be replaced by [`super::weights::Weights::fill`].
+    pub fn new(specs: Vec<ParamSpec>, stream: Option<&mut StreamRng>) -> Self {
+        let mut offsets = Vec::with_capacity(specs.len() + 1);
+        let mut total = 0;
+        for spec in &specs {
+            offsets.push(total);
+            total += spec.shape.iter().product::<i64>() as usize;
+        }
+        offsets.push(total);
+        let flat = Tensor::zeros([total as i64], (Kind::Float, Device::Cpu));
+        let tensors = specs.iter().zip(&offsets).map(|(spec, &offset)| {
+            let count = spec.shape.iter().product::<i64>();
+            flat.narrow(0, offset as i64, count).view(&*spec.shape).detach().set_requires_grad(true)
+        });
+        let tensors = tensors.collect();
+        let mut params = Self { specs, offsets, flat, tensors };
+        if let Some(stream) = stream {
+            for id in params.ids() {
+                let spec = params.spec(id);
+                let values = spec.init.draw(&spec.shape, stream);
+                params.slice_mut(id).copy_from_slice(&values);
+            }
+        }
+        params
+    }
+
+    /// How many parameters (tensors) there are.
+    pub fn len(&self) -> usize {
+        self.specs.len()
+    }
+
+    /// True where there is none.
+    pub fn is_empty(&self) -> bool {
+        self.specs.is_empty()
+    }
+
+    /// All parameters, in order.
+    pub fn ids(&self) -> impl Iterator<Item = ParamId> + use<> {
+        (0..self.specs.len()).map(ParamId)
+    }
+
+    /// Name, shape and first values of a parameter.
+    pub fn spec(&self, id: ParamId) -> &ParamSpec {
+        &self.specs[id.0]
+    }
+
+    /// The tensor to compute with.
+    pub fn tensor(&self, id: ParamId) -> &Tensor {
+        &self.tensors[id.0]
+    }
+
+    /// The values of one parameter, row-major.
+    pub fn slice(&self, id: ParamId) -> &[f32] {
+        &memory::values(&self.flat)[self.offsets[id.0]..self.offsets[id.0 + 1]]
+    }
+
+    /// The values of one parameter, to be changed.
+    pub fn slice_mut(&mut self, id: ParamId) -> &mut [f32] {
+        &mut memory::values_mut(&mut self.flat)[self.offsets[id.0]..self.offsets[id.0 + 1]]
+    }
+
+    /// All values, one parameter after the other.
+    pub fn values(&self) -> &[f32] {
+        memory::values(&self.flat)
+    }
+
+    /// Replaces all values; the slice is as long as [`Parameters::values`].
+    pub fn set_values(&mut self, values: &[f32]) {
+        memory::values_mut(&mut self.flat).copy_from_slice(values);
+    }
+
+    /// The gradients of a scalar with respect to these parameters. The graph is used up.
+    pub fn gradients(&self, loss: &Tensor, ids: &[ParamId]) -> Gradients {
+        let inputs: Vec<&Tensor> = ids.iter().map(|id| self.tensor(*id)).collect();
+        let gradients = Tensor::run_backward(&[loss], &inputs, false, false);
+        gradients.into_iter().map(|g| if g.defined() { Some(g.contiguous()) } else { None }).collect()
+    }
+}

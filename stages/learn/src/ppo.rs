@@ -1,0 +1,116 @@
+//! Proximal policy optimisation (Schulman et al. 2017): the stage that trains experts.
+//!
+//! The whole loop is in [`train`]; the loss is in [`crate::update`], the state in [`crate::learner`]: DRIL shares both.
+
+use dril_envs::VecEnv;
+use dril_kinds::{Ppo, PpoParams};
+use dril_stage_api::{Ctx, Stage, StageError};
+use serde::{Deserialize, Serialize};
+
+use crate::checkpoint::{self, Arrays};
+use crate::fast;
+use crate::learner::{LOG_COLUMNS, Learner, LearnerSettings, LearnerState, log_row};
+use crate::log::{RecentScores, Speed, TrainingLog};
+use crate::net::Network;
+use crate::policy::Policy;
+use crate::rollout::SamplerSettings;
+use crate::spaces;
+
+/// Runs the kind `ppo`.
+pub struct PpoStage;
+
+impl Stage for PpoStage {
+    type Kind = Ppo;
+
+    fn run(params: &PpoParams, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
+        fast::prepare();
+        let architecture =
+            spaces::architecture(&params.env, params.policy, params.network, Network::ExpertCnn)?;
+        let policy = Policy::new(architecture, &mut ctx.stream("init"))?;
+        let envs = VecEnv::new(&params.env, params.envs as usize, 1).map_err(StageError::failed)?;
+        let (policy, log) = train(params, policy, envs, ctx)?;
+        ctx.write_output("policy", policy.to_bytes()?)?;
+        ctx.write_output("log", log.to_csv()?)
+    }
+}
+
+fn settings(params: &PpoParams) -> LearnerSettings {
+    LearnerSettings {
+        envs: params.envs as usize,
+        rollout_steps: params.rollout_steps as usize,
+        total_steps: params.total_steps,
+        learning_rate: params.learning_rate,
+        anneal_learning_rate: params.anneal_learning_rate,
+        adam_epsilon: params.adam_epsilon,
+        update: params.update(),
+        sampler: SamplerSettings {
+            mean_action_probability: params.mean_action_probability,
+            bootstrap_time_limits: params.bootstrap_time_limits,
+        },
+    }
+}
+
+/// What a checkpoint holds beside the arrays.
+#[derive(Serialize, Deserialize)]
+struct State {
+    learner: LearnerState,
+    scores: RecentScores,
+    log: TrainingLog,
+}
+
+/// The whole training: rollouts and updates in turn until the steps are used up.
+///
+/// # Errors
+/// The environment's, a network that has diverged, or a stop on request (after a checkpoint).
+pub fn train(
+    params: &PpoParams,
+    policy: Policy,
+    envs: VecEnv,
+    ctx: &mut Ctx<'_>,
+) -> Result<(Policy, TrainingLog), StageError> {
+    let mut learner = Learner::new(settings(params), policy, envs, ctx.seed());
+    let (mut scores, mut log) = (RecentScores::default(), TrainingLog::new(&LOG_COLUMNS));
+    match checkpoint::load::<State>(ctx.checkpoints())? {
+        Some((state, mut arrays)) => {
+            (scores, log) = (state.scores, state.log);
+            learner.restore(state.learner, &mut arrays)?;
+        }
+        None => learner.start()?,
+    }
+    let speed = Speed::from(learner.steps_done());
+    while !learner.finished() {
+        while !learner.rollout_full() {
+            save_if_due(ctx, &learner, &scores, &log)?;
+            learner.step()?.iter().for_each(|episode| scores.push(episode.score));
+            let (done, total) = (learner.steps_done(), learner.total_steps());
+            ctx.progress(done, total, "steps", || {
+                format!("score {:.0}, {:.0} steps/s", scores.mean(10), speed.at(done))
+            });
+        }
+        if !learner.updating() {
+            learner.begin_update();
+        }
+        while let Some(minibatch) = learner.next_minibatch() {
+            learner.learn(&minibatch)?;
+            save_if_due(ctx, &learner, &scores, &log)?;
+        }
+        let (update, step, rate) = (learner.updates_done(), learner.steps_done(), learner.learning_rate());
+        log.push(&log_row(update, step, rate, &scores, &learner.end_update()));
+    }
+    Ok((learner.policy, log))
+}
+
+/// Saves a checkpoint where it is time; stops after it where a stop was asked for.
+fn save_if_due(
+    ctx: &mut Ctx<'_>,
+    learner: &Learner,
+    scores: &RecentScores,
+    log: &TrainingLog,
+) -> Result<(), StageError> {
+    if ctx.checkpoint_due() {
+        let mut arrays = Arrays::new();
+        let state = State { learner: learner.save(&mut arrays), scores: scores.clone(), log: log.clone() };
+        checkpoint::save(ctx.checkpoints(), &state, &arrays)?;
+    }
+    ctx.stop_if_cancelled()
+}

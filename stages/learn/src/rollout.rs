@@ -1,0 +1,296 @@
+//! What a rollout gathers, and the advantages that it gives.
+
+use dril_envs::{FinishedEpisode, Outcome, VecEnv};
+use dril_stage_api::{Seed, StageError, StreamRng};
+use rand::Rng;
+use serde::{Deserialize, Serialize};
+use tch::Tensor;
+
+use crate::act::{Acted, act};
+use crate::checkpoint::{Arrays, foreign};
+use crate::frames::FrameStore;
+use crate::net::Observation;
+use crate::policy::Policy;
+
+/// The steps of several environments between two updates. Lists are in the order of time, the environments of one step
+/// side by side: entry `t · envs + env`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Rollout {
+    /// Environments.
+    pub envs: usize,
+    /// Steps in each.
+    pub steps: usize,
+    /// Action dimensions.
+    pub dims: usize,
+    /// What was seen; find an entry's slot with [`Rollout::slot`].
+    pub frames: FrameStore,
+    /// Samples in the distribution's own scale, [entries · dims].
+    pub samples: Vec<f32>,
+    /// Actions in the environment's scale, not clipped, [entries · dims].
+    pub actions: Vec<f32>,
+    /// Log-densities of the samples when they were drawn.
+    pub log_probs: Vec<f32>,
+    /// Values of the states that were acted in.
+    pub values: Vec<f32>,
+    /// Rewards; a training that makes its own replaces them before [`Rollout::advantages`].
+    pub rewards: Vec<f32>,
+    /// True where the step ended an episode.
+    pub ends: Vec<bool>,
+    /// Where the step ended an episode by the time limit: the value of the state that followed; otherwise 0.
+    pub cut_values: Vec<f32>,
+}
+
+/// What an update learns from, entry by entry.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Advantages {
+    /// Generalised advantage estimates.
+    pub advantages: Vec<f32>,
+    /// Estimates plus values: what the critic is fitted to.
+    pub returns: Vec<f32>,
+}
+
+impl Rollout {
+    /// Room for `steps` steps of `envs` environments.
+    pub fn new(observation: Observation, dims: usize, envs: usize, steps: usize) -> Self {
+        let entries = envs * steps;
+        // Each environment's slots: the history of the first stack, then the frame before each action, then the last.
+        let slots = envs * (observation.stack() + steps);
+        Self {
+            envs,
+            steps,
+            dims,
+            frames: FrameStore::with_slots(observation, slots),
+            samples: vec![0.0; entries * dims],
+            actions: vec![0.0; entries * dims],
+            log_probs: vec![0.0; entries],
+            values: vec![0.0; entries],
+            rewards: vec![0.0; entries],
+            ends: vec![false; entries],
+            cut_values: vec![0.0; entries],
+        }
+    }
+
+    /// How many entries there are.
+    pub fn len(&self) -> usize {
+        self.envs * self.steps
+    }
+
+    /// True where there is no entry.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The frame slot of the state before step `t`; `t = steps` is the state after the last one.
+    pub fn slot(&self, t: usize, env: usize) -> usize {
+        let stack = self.frames.observation().stack();
+        env * (stack + self.steps) + stack - 1 + t
+    }
+
+    /// The frame slot of an entry.
+    pub fn entry_slot(&self, entry: usize) -> usize {
+        self.slot(entry / self.envs, entry % self.envs)
+    }
+
+    /// The observations before step `t`, one for each environment.
+    pub fn observations(&self, t: usize) -> Tensor {
+        let slots: Vec<usize> = (0..self.envs).map(|env| self.slot(t, env)).collect();
+        self.frames.gather(&slots)
+    }
+
+    /// Makes the state after the last step the first of a new rollout, with its history.
+    pub fn begin_next(&mut self) {
+        let stack = self.frames.observation().stack();
+        for env in 0..self.envs {
+            self.frames.carry(self.slot(self.steps, env), stack, self.slot(0, env) + 1 - stack);
+        }
+    }
+
+    /// Advantages and returns by [`gae`], from the values of the states after the last step.
+    pub fn advantages(&self, last_values: &[f32], gamma: f64, lambda: f64) -> Advantages {
+        gae(self, last_values, gamma, lambda)
+    }
+
+    /// Adds its content to a checkpoint.
+    pub fn save(&self, arrays: &mut Arrays) {
+        self.frames.save("rollout.frames", arrays);
+        for (name, values) in self.lists() {
+            arrays.put_f32(&format!("rollout.{name}"), values);
+        }
+        arrays.put("rollout.ends", self.ends.iter().map(|&end| u8::from(end)).collect::<Vec<u8>>());
+    }
+
+    /// Takes its content from a checkpoint.
+    ///
+    /// # Errors
+    /// The checkpoint is of a rollout of another size.
+    pub fn restore(&mut self, arrays: &mut Arrays) -> Result<(), StageError> {
+        self.frames.restore("rollout.frames", arrays)?;
+        for (name, values) in [
+            ("samples", &mut self.samples),
+            ("actions", &mut self.actions),
+            ("log_probs", &mut self.log_probs),
+            ("values", &mut self.values),
+            ("rewards", &mut self.rewards),
+            ("cut_values", &mut self.cut_values),
+        ] {
+            *values = arrays.take_f32(&format!("rollout.{name}"), values.len())?;
+        }
+        let ends = arrays.take("rollout.ends")?;
+        if ends.len() != self.ends.len() {
+            return Err(foreign("the rollout has another size"));
+        }
+        self.ends = ends.into_iter().map(|end| end != 0).collect();
+        Ok(())
+    }
+
+    fn lists(&self) -> [(&'static str, &[f32]); 6] {
+        [
+            ("samples", &self.samples),
+            ("actions", &self.actions),
+            ("log_probs", &self.log_probs),
+            ("values", &self.values),
+            ("rewards", &self.rewards),
+            ("cut_values", &self.cut_values),
+        ]
+    }
+}
+
+/// Generalised advantage estimation (Schulman et al. 2016, eq. 16), backwards over time:
+/// δ = r + γ V(s′) − V(s), A = δ + γ λ A′, with V(s′) the value after a cut by the time limit or 0 at a real end, and
+/// A′ = 0 at either.
+pub fn gae(rollout: &Rollout, last_values: &[f32], gamma: f64, lambda: f64) -> Advantages {
+    let (envs, entries) = (rollout.envs, rollout.len());
+    let mut advantages = vec![0.0_f32; entries];
+    for (env, &last_value) in last_values.iter().enumerate().take(envs) {
+        let mut next = (f64::from(last_value), 0.0);
+        for entry in (0..rollout.steps).rev().map(|t| t * envs + env) {
+            let (next_value, next_advantage) = match rollout.ends[entry] {
+                true => (f64::from(rollout.cut_values[entry]), 0.0),
+                false => next,
+            };
+            let value = f64::from(rollout.values[entry]);
+            let delta = f64::from(rollout.rewards[entry]) + gamma * next_value - value;
+            let advantage = delta + gamma * lambda * next_advantage;
+            advantages[entry] = advantage as f32;
+            next = (value, advantage);
+        }
+    }
+    let returns =
+        advantages.iter().zip(&rollout.values).map(|(advantage, value)| advantage + value).collect();
+    Advantages { advantages, returns }
+}
+
+/// Gathers rollouts: the environments, and the streams that actions and tracks come from.
+pub struct Sampler {
+    envs: VecEnv,
+    actions: StreamRng,
+    /// The seeds of each environment's episodes.
+    tracks: Vec<StreamRng>,
+    mean_action_probability: f64,
+    bootstrap_time_limits: bool,
+}
+
+/// How a [`Sampler`] acts and what it makes of time limits.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SamplerSettings {
+    /// The probability, drawn once for each step of all environments, that the mean action is taken everywhere.
+    pub mean_action_probability: f64,
+    /// True where the state after a time limit keeps its value; false where a time limit counts as a real end.
+    pub bootstrap_time_limits: bool,
+}
+
+/// The state of a [`Sampler`] for a checkpoint.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SamplerState {
+    envs: dril_envs::VecEnvSnapshot,
+    actions: StreamRng,
+    tracks: Vec<StreamRng>,
+}
+
+impl Sampler {
+    /// A sampler over `envs`, with streams of its own from the seed.
+    pub fn new(envs: VecEnv, seed: Seed, settings: SamplerSettings) -> Self {
+        let tracks = (0..envs.len()).map(|env| seed.stream(&format!("tracks/{env}"))).collect();
+        let SamplerSettings { mean_action_probability, bootstrap_time_limits } = settings;
+        let actions = seed.stream("action");
+        Self { envs, actions, tracks, mean_action_probability, bootstrap_time_limits }
+    }
+
+    /// Starts the first episodes.
+    ///
+    /// # Errors
+    /// The environments'.
+    pub fn start(&mut self, rollout: &mut Rollout) -> Result<(), StageError> {
+        let tracks = &mut self.tracks;
+        self.envs.reset_all(|env| tracks[env].next_u64()).map_err(StageError::failed)?;
+        for env in 0..self.envs.len() {
+            rollout.frames.set(rollout.slot(0, env), self.envs.frame(env), true);
+        }
+        Ok(())
+    }
+
+    /// Acts once in every environment and records it as step `t`; gives the episodes that ended, in the order of the
+    /// environments.
+    ///
+    /// # Errors
+    /// The environments'.
+    pub fn step(
+        &mut self,
+        policy: &Policy,
+        rollout: &mut Rollout,
+        t: usize,
+    ) -> Result<Vec<FinishedEpisode>, StageError> {
+        let acted = act(policy, &rollout.observations(t), self.mean_action_probability, &mut self.actions);
+        record_acting(rollout, t, &acted);
+        let clipped: Vec<f32> = acted.actions.iter().map(|action| action.clamp(-1.0, 1.0)).collect();
+        let tracks = &mut self.tracks;
+        let steps = self.envs.step(&clipped, |env| tracks[env].next_u64()).map_err(StageError::failed)?;
+        let steps = steps.to_vec();
+        let mut finished = Vec::new();
+        for (env, step) in steps.into_iter().enumerate() {
+            let (entry, slot) = (t * rollout.envs + env, rollout.slot(t + 1, env));
+            rollout.rewards[entry] = step.reward as f32;
+            rollout.ends[entry] = step.outcome.ended();
+            rollout.cut_values[entry] = 0.0;
+            if let Some(episode) = step.finished {
+                if step.outcome == Outcome::TimeLimit && self.bootstrap_time_limits {
+                    rollout.frames.set(slot, episode.last_frame.as_frame(), false);
+                    let observation = rollout.frames.gather(&[slot]);
+                    rollout.cut_values[entry] =
+                        tch::no_grad(|| policy.values(&observation)).double_value(&[0]) as f32;
+                }
+                finished.push(episode);
+            }
+            rollout.frames.set(slot, self.envs.frame(env), step.outcome.ended());
+        }
+        Ok(finished)
+    }
+
+    /// The state for a checkpoint.
+    pub fn state(&self) -> SamplerState {
+        SamplerState {
+            envs: self.envs.snapshot(),
+            actions: self.actions.clone(),
+            tracks: self.tracks.clone(),
+        }
+    }
+
+    /// Takes up a state again.
+    ///
+    /// # Errors
+    /// It is of another number or kind of environments.
+    pub fn restore(&mut self, state: SamplerState) -> Result<(), StageError> {
+        self.envs.restore(&state.envs).map_err(|error| foreign(&error.to_string()))?;
+        self.actions = state.actions;
+        self.tracks = state.tracks;
+        Ok(())
+    }
+}
+
+fn record_acting(rollout: &mut Rollout, t: usize, acted: &Acted) {
+    let (first, count, dims) = (t * rollout.envs, rollout.envs, rollout.dims);
+    rollout.samples[first * dims..][..count * dims].copy_from_slice(&acted.samples);
+    rollout.actions[first * dims..][..count * dims].copy_from_slice(&acted.actions);
+    rollout.log_probs[first..][..count].copy_from_slice(&acted.log_probs);
+    rollout.values[first..][..count].copy_from_slice(&acted.values);
+}
