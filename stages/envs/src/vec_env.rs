@@ -98,9 +98,8 @@ impl VecEnv {
         let steps = vec![VecStep { reward: 0.0, outcome: Outcome::Running, finished: None }; slots.len()];
         let threads = threads.min(slots.len());
         let pool = (threads > 1).then(|| rayon::ThreadPoolBuilder::new().num_threads(threads).build());
-        let pool = pool
-            .transpose()
-            .map_err(|error| EnvError::Threads { threads, message: error.to_string() })?;
+        let pool =
+            pool.transpose().map_err(|error| EnvError::Threads { threads, message: error.to_string() })?;
         Ok(Self { slots, steps, pool, spaces })
     }
 
