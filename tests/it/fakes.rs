@@ -5,7 +5,7 @@
 //! - `elsewhere` is described here and run by an executable that does not exist.
 //!
 //! With `DRIL_FAKES_TRACE` set to a file, stages append what they do to it: `<event> <kind> <key> <pid>`.
-#![allow(dead_code)]
+#![allow(dead_code, clippy::unwrap_used, clippy::panic, clippy::print_stdout, clippy::print_stderr)]
 
 use std::io::Write;
 use std::path::Path;
@@ -179,6 +179,9 @@ pub struct CountParams {
     /// The step at which to do it.
     #[serde(default)]
     at: u64,
+    /// Begins only once so many stages have begun, by the trace: proof that they run side by side.
+    #[serde(default)]
+    meet: usize,
     /// Threads that it claims to need.
     #[serde(default = "one_thread")]
     threads: usize,
@@ -259,6 +262,7 @@ impl Stage for Count {
 
     fn run(params: &CountParams, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
         trace("begin", "count", ctx);
+        meet(params.meet)?;
         let saved = ctx.checkpoints().join("state.json");
         let mut state = match std::fs::read(&saved) {
             Ok(bytes) => serde_json::from_slice(&bytes).map_err(StageError::failed)?,
@@ -349,6 +353,19 @@ impl Describe for Elsewhere {
     fn ports(params: &EmitParams) -> Ports {
         Emit::ports(params)
     }
+}
+
+/// Waits until so many stages have begun; an error where they do not come.
+fn meet(others: usize) -> Result<(), StageError> {
+    let Some(path) = std::env::var_os("DRIL_FAKES_TRACE").filter(|_| others > 0) else { return Ok(()) };
+    for _ in 0..5_000 {
+        let text = std::fs::read_to_string(&path).map_err(StageError::failed)?;
+        if text.lines().filter(|line| line.starts_with("begin ")).count() >= others {
+            return Ok(());
+        }
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    Err(StageError::failed(format!("waited in vain for {others} stages to begin")))
 }
 
 fn trace(event: &str, kind: &str, ctx: &Ctx<'_>) {

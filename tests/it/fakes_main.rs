@@ -1,6 +1,11 @@
 //! The program under test with the fakes as its stage kinds. Built as an example, so that it is never installed.
+//!
+//! `fakes __engine SCENARIO` runs a scenario without a pipeline file; with `DRIL_FAKES_CRASH_AT=N` it dies at the Nth step
+//! that touches the disk. With `DRIL_FAKES_KINDS=samples` it offers the kinds of `samples` instead.
+#![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 mod fakes;
+mod samples;
 mod scenario;
 
 use std::process::ExitCode;
@@ -14,12 +19,19 @@ fn main() -> ExitCode {
     match arguments.get(1).and_then(|argument| argument.to_str()) {
         Some("__engine") => engine(&arguments[2]),
         Some("__stage") => exec::run_stage(arguments[2].as_ref(), &fakes::registry()),
+        _ if std::env::var_os("DRIL_FAKES_KINDS").is_some_and(|kinds| kinds == "samples") => {
+            dril_pipe::cli::run(samples::registry(), arguments)
+        }
         _ => dril_pipe::cli::run(fakes::registry(), arguments),
     }
 }
 
 /// Runs a scenario without a pipeline file, and prints every event.
 fn engine(file: &std::ffi::OsStr) -> ExitCode {
+    #[cfg(debug_assertions)]
+    if let Ok(nth) = std::env::var("DRIL_FAKES_CRASH_AT") {
+        dril_pipe::fsx::fault::arm(nth.parse().unwrap());
+    }
     let scenario: scenario::Scenario = serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap();
     let store = Store::open(&scenario.store).unwrap();
     let graph = scenario::graph(&scenario.stages);

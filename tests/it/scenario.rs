@@ -1,5 +1,5 @@
 //! A graph of fakes as plain data: tests build it in code, and hand it as a file to another process that runs it.
-#![allow(dead_code)]
+#![allow(dead_code, clippy::unwrap_used, clippy::panic, clippy::print_stdout, clippy::print_stderr)]
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
