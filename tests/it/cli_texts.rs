@@ -92,3 +92,30 @@ fn kinds_as_json_carry_the_schema_of_their_parameters() {
     assert_eq!(kind["inputs"][0]["arity"], "optional");
     assert_eq!(kind["outputs"][1]["extension"], "csv");
 }
+
+#[test]
+fn the_manual_names_every_option_event_and_exit_code() {
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    let manual = std::fs::read_to_string(root.join("docs/command-line.md")).unwrap();
+    let sealed = Sealed::new();
+    for command in ["run", "plan", "graph", "kinds"] {
+        assert!(manual.contains(&format!("## `{command}`")), "{command}");
+        let help = sealed.run_ok(&format!("{command} --help"));
+        let options = help.split_whitespace().filter(|word| word.starts_with("--") && word.len() > 2);
+        for option in options.map(|word| word.trim_end_matches([',', '`'])).filter(|word| *word != "--help") {
+            assert!(manual.contains(&format!("`{option}")), "{command} {option}");
+        }
+    }
+    let source = std::fs::read_to_string(root.join("src/cli/report/json.rs")).unwrap();
+    let said = source.split("self.say(\"").chain(source.split("self.stage(\"")).skip(1);
+    let events: Vec<&str> = said.filter_map(|after| after.split('"').next()).collect();
+    assert!(events.len() > 8);
+    for event in events.into_iter().filter(|event| event.chars().all(|c| c.is_ascii_lowercase())) {
+        assert!(manual.contains(&format!("| `{event}` |")), "event {event}");
+    }
+    let codes = sealed.run_ok("--help");
+    let (_, codes) = codes.split_once("Exit codes:").unwrap();
+    for code in codes.lines().filter_map(|line| line.split_whitespace().next()?.parse::<u8>().ok()) {
+        assert!(manual.contains(&format!("| {code} |")), "exit code {code}");
+    }
+}
