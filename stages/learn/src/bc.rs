@@ -77,7 +77,7 @@ impl Imitator for Policy {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use crate::pairs::tests::vector_demos;
+    use crate::pairs::tests::{image_demos, vector_demos};
     use dril_stage_api::testing::Bench;
     use dril_stage_api::{Seed, StageError};
     use serde_json::{Value, json};
@@ -88,6 +88,20 @@ pub(crate) mod tests {
         let bench = Bench::new::<S>(&params, seed).unwrap();
         let demos = bench.folder().join("in.demos");
         vector_demos(&[30; 5]).write(&demos).unwrap();
+        bench.input("demonstrations", &demos, &[])
+    }
+
+    /// The same with pictures, in which the grey says what to do.
+    pub(crate) fn picture_bench<S: Stage>(params: Value, seed: u64) -> Bench {
+        let bench = Bench::new::<S>(&params, seed).unwrap();
+        let demos = bench.folder().join("in.demos");
+        let mut shown = image_demos(20, 0.0);
+        for episode in &mut shown.episodes {
+            episode.frames.iter_mut().for_each(|pixel| *pixel *= 6);
+            let grey = episode.frames.chunks(36 * 36).map(|frame| f32::from(frame[0]) / 255.0);
+            episode.actions = grey.flat_map(|grey| [grey, 1.0 - 2.0 * grey]).collect();
+        }
+        shown.write(&demos).unwrap();
         bench.input("demonstrations", &demos, &[])
     }
 
@@ -110,7 +124,7 @@ pub(crate) mod tests {
         json!({ "policy": policy, "max_epochs": epochs, "patience": 3, "batch_size": 25, "learning_rate": 3e-3 })
     }
 
-    fn column(log: &[u8], name: &str) -> Vec<f64> {
+    pub(crate) fn column(log: &[u8], name: &str) -> Vec<f64> {
         let mut reader = csv::Reader::from_reader(log);
         let at = reader.headers().unwrap().iter().position(|header| header == name).unwrap();
         reader.records().map(|row| row.unwrap()[at].parse().unwrap()).collect()
@@ -126,6 +140,14 @@ pub(crate) mod tests {
             let losses = column(&outputs[0], "best_val_loss");
             assert!(losses[79] < 0.1 * losses[0], "{policy}: {losses:?}");
         }
+    }
+
+    #[test]
+    fn what_pictures_show_is_learnt() {
+        let params = json!({ "policy": "beta", "max_epochs": 60, "batch_size": 16, "learning_rate": 1e-3 });
+        let losses = column(&outputs(&picture_bench::<BcStage>(params, 1), &["log"])[0], "best_val_loss");
+        let last = losses[losses.len() - 1];
+        assert!(last < 0.1 * losses[0], "{losses:?}");
     }
 
     #[test]
@@ -179,6 +201,18 @@ pub(crate) mod tests {
         assert_eq!(outputs(&stopped, &["policy", "log"]), whole);
         let saving = bench::<BcStage>(params("beta", 4), 1).checkpoint_seconds(0.0);
         assert_eq!(outputs(&saving, &["policy", "log"]), whole);
+    }
+
+    #[test]
+    fn a_checkpoint_that_is_cut_off_means_a_new_start_with_the_same_end() {
+        let whole = outputs(&bench::<BcStage>(params("beta", 2), 1), &["policy", "log"]);
+        let stopped = bench::<BcStage>(params("beta", 2), 1);
+        stop_often(&stopped, 3);
+        let files: Vec<_> = std::fs::read_dir(stopped.folder().join("checkpoints")).unwrap().collect();
+        assert_eq!(files.len(), 1);
+        let file = std::fs::OpenOptions::new().write(true).open(files[0].as_ref().unwrap().path()).unwrap();
+        file.set_len(file.metadata().unwrap().len() / 2).unwrap();
+        assert_eq!(outputs(&stopped, &["policy", "log"]), whole);
     }
 
     #[test]

@@ -57,6 +57,8 @@ pub struct Schedule {
 /// Pairs in one go through the network in validation. A constant: other widths give other last bits.
 const VALIDATION_BATCH: usize = 250;
 
+/// The log's columns: losses are mean squared errors of clamped actions, over the pass's batches as they were learnt from
+/// and over all held-out pairs after it.
 const COLUMNS: [&str; 6] = ["epoch", "step", "train_loss", "val_loss", "best_val_loss", "learning_rate"];
 
 /// Trains `model` on the pairs of `parts` and gives the log; the model then has the best or the last weights (see

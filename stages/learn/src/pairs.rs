@@ -22,11 +22,6 @@ pub struct Pairs {
 }
 
 impl Pairs {
-    /// No pairs yet, of observations like `observation` and actions with `dims` dimensions (at least one).
-    pub fn new(observation: Observation, dims: usize) -> Self {
-        Self { frames: FrameStore::new(observation), actions: Vec::new(), dims, lengths: Vec::new() }
-    }
-
     /// Reads the demonstrations at the input `port`.
     ///
     /// # Errors
@@ -34,28 +29,32 @@ impl Pairs {
     pub fn load(port: &str, path: &Path) -> Result<Self, StageError> {
         let wrong = |message: String| StageError::input(port, path, message);
         let demos = Demonstrations::read(path).map_err(|error| wrong(error.to_string()))?;
-        let header = &demos.header;
-        let mut pairs = Self::new(spaces::observation(&header.observation_space), header.action_dims);
-        for (index, episode) in demos.episodes.iter().enumerate() {
-            if let Some(action) = episode.actions.iter().find(|action| !action.is_finite()) {
-                return Err(wrong(format!("episode {index} has an action of {action}, expected numbers")));
-            }
-            pairs.push_episode(frames(episode, &header.observation_space), &episode.actions);
-        }
-        if pairs.is_empty() {
+        if demos.steps() == 0 {
             return Err(wrong(format!("has no step in {} episodes, expected some", demos.episodes.len())));
         }
-        Ok(pairs)
+        let index = demos.episodes.iter().position(|episode| episode.actions.iter().any(|a| !a.is_finite()));
+        if let Some(index) = index {
+            return Err(wrong(format!("episode {index} has an action that is not a number")));
+        }
+        Ok(Self::of(demos))
     }
 
-    /// Appends an episode: one frame and one action (`dims` numbers) for each of its steps.
-    pub fn push_episode<'a>(&mut self, frames: impl IntoIterator<Item = Frame<'a>>, actions: &[f32]) {
-        let before = self.frames.len();
-        for (step, frame) in frames.into_iter().enumerate() {
-            self.frames.push(frame, step == 0);
+    /// Takes the demonstrations over, episode by episode: their frames are in memory once.
+    fn of(demos: Demonstrations) -> Self {
+        let (steps, space) = (demos.steps(), demos.header.observation_space);
+        let dims = demos.header.action_dims;
+        let mut frames = FrameStore::with_slots(spaces::observation(&space), steps);
+        let (mut actions, mut lengths) = (Vec::with_capacity(steps * dims), Vec::new());
+        let mut slot = 0;
+        for episode in demos.episodes {
+            lengths.push(episode.steps(dims));
+            actions.extend_from_slice(&episode.actions);
+            for (step, frame) in frames_of(&episode, &space).enumerate() {
+                frames.set(slot, frame, step == 0);
+                slot += 1;
+            }
         }
-        self.actions.extend_from_slice(actions);
-        self.lengths.push(self.frames.len() - before);
+        Self { frames, actions, dims, lengths }
     }
 
     /// How many pairs there are.
@@ -105,7 +104,7 @@ impl Pairs {
 }
 
 /// What was seen before each action of an episode.
-fn frames<'a>(episode: &'a Episode, space: &ObservationSpace) -> Box<dyn Iterator<Item = Frame<'a>> + 'a> {
+fn frames_of<'a>(episode: &'a Episode, space: &ObservationSpace) -> Box<dyn Iterator<Item = Frame<'a>> + 'a> {
     let len = space.frame_len().max(1);
     match space {
         ObservationSpace::Image { .. } => Box::new(episode.frames.chunks_exact(len).map(Frame::Image)),
@@ -148,6 +147,7 @@ pub(crate) mod tests {
             seed,
             score: 930.5,
             outcome: Outcome::Finished,
+            // Grey that grows by one a step.
             frames: (0..steps * size).map(|at| ((at / size) as u64 + 10 * seed) as u8).collect(),
             vectors: Vec::new(),
             actions: (0..steps * 2).map(|at| if at == 0 { action } else { at as f32 / 100.0 }).collect(),
@@ -184,7 +184,7 @@ pub(crate) mod tests {
         let path = folder.path().join("a.demos");
         for (demos, part) in [
             (image_demos(0, 0.0), "no step in 2 episodes"),
-            (image_demos(3, f32::NAN), "episode 0 has an action of NaN"),
+            (image_demos(3, f32::NAN), "episode 0 has an action that is not a number"),
         ] {
             demos.write(&path).unwrap();
             let message = Pairs::load("demonstrations", &path).unwrap_err().to_string();

@@ -86,7 +86,7 @@ impl Imitator for Ensemble {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bc::tests::{bench, outputs, stop_often};
+    use crate::bc::tests::{bench, column, outputs, picture_bench, stop_often};
     use dril_stage_api::Seed;
     use serde_json::{Value, json};
 
@@ -119,6 +119,13 @@ mod tests {
         // Everything demonstrated lies in a square of side 2 around 0.
         let unknown: Tensor = &known * 3.0 + 2.0;
         assert!(apart(&unknown) > 10.0 * apart(&known), "{} {}", apart(&unknown), apart(&known));
+    }
+
+    #[test]
+    fn what_pictures_show_is_learnt_through_the_shared_encoder() {
+        let params = json!({ "members": 3, "epochs": 40, "batch_size": 15, "learning_rate": 1e-3 });
+        let losses = column(&outputs(&picture_bench::<EnsembleStage>(params, 1), &["log"])[0], "val_loss");
+        assert!(losses[39] < 0.1 * losses[0], "{losses:?}");
     }
 
     #[test]
