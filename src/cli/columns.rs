@@ -1,7 +1,11 @@
 //! Rows of text in columns; the last column is wrapped.
 
-/// A column wider than this does not push the others away.
-const WIDEST: usize = 44;
+/// Cells wider than this part of the room do not push the other columns away.
+const PART: usize = 4;
+/// But up to this width every cell does.
+const NARROW: usize = 24;
+/// And from this width on none does.
+const WIDE: usize = 44;
 /// With less room than this, the last column goes below the others.
 const NARROWEST: usize = 24;
 
@@ -11,7 +15,8 @@ pub(super) type Paint<'a> = &'a dyn Fn(usize, String) -> String;
 /// The rows (all of equal length), indented by two, in lines of at most `room` columns where the words allow it.
 pub(super) fn render(rows: &[Vec<String>], room: usize, paint: Paint<'_>) -> String {
     let fixed = rows.first().map_or(0, Vec::len).saturating_sub(1);
-    let widths: Vec<usize> = (0..fixed).map(|column| width(rows, column)).collect();
+    let widest = (room / PART).clamp(NARROW, WIDE);
+    let widths: Vec<usize> = (0..fixed).map(|column| width(rows, column, widest)).collect();
     let start: usize = 2 + widths.iter().map(|width| width + 2).sum::<usize>();
     let below = start.saturating_add(NARROWEST) > room;
     let indent = if below { 6 } else { start };
@@ -42,9 +47,9 @@ pub(super) fn render(rows: &[Vec<String>], room: usize, paint: Paint<'_>) -> Str
     text
 }
 
-fn width(rows: &[Vec<String>], column: usize) -> usize {
+fn width(rows: &[Vec<String>], column: usize, widest: usize) -> usize {
     let widths = rows.iter().filter_map(|row| row.get(column)).map(|cell| cell.chars().count());
-    widths.filter(|width| *width <= WIDEST).max().unwrap_or(0)
+    widths.filter(|width| *width <= widest).max().unwrap_or(0)
 }
 
 /// Breaks a text at spaces into lines of at most `width` characters; a longer word gets a line of its own.

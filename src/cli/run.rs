@@ -23,9 +23,15 @@ pub(super) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Erro
     let stop = signals::stop_flag()?;
     let executed = exec::execute(plan, &store, &runner, &options, &stop, &mut |event| reporter.event(event))?;
     let folder = args.out.clone().unwrap_or_else(|| results::default_folder(&graph));
-    let published = results::publish(&folder, &graph, &store, |stage| executed.outputs(stage))?;
-    let exit_code = exit_code(&executed);
-    reporter.ended(&Ending { executed: &executed, published: published.as_ref(), exit_code });
+    let published = results::publish(&folder, &graph, &store, |stage| executed.outputs(stage));
+    let (published, error) = match published {
+        Ok(published) => (published, None),
+        Err(error) => (None, Some(error)),
+    };
+    // The work is done and in the store: its end is told, whatever became of the copies.
+    let exit_code = error.as_ref().map_or_else(|| exit_code(&executed), |error| error.kind().exit_code());
+    let (published, error) = (published.as_ref(), error.as_ref());
+    reporter.ended(&Ending { executed: &executed, published, error, exit_code });
     Ok(ExitCode::from(exit_code))
 }
 

@@ -162,9 +162,9 @@ fn quiet_says_nothing_but_errors() {
 #[test]
 fn after_the_first_interrupt_the_run_stops_and_the_next_one_goes_on() {
     let undisturbed = Sealed::with(CHAIN);
-    undisturbed.run_ok("run p.yaml --set b.to=30");
+    undisturbed.run_ok("run p.yaml --set b.to=100");
     let sealed = Sealed::with(CHAIN);
-    let slow = "run p.yaml --json --set b.to=30 --set b.step_millis=20";
+    let slow = "run p.yaml --json --set b.to=100 --set b.step_millis=20";
     let mut child = sealed.command(slow).stdout(Stdio::piped()).spawn().unwrap();
     let mut said = BufReader::new(child.stdout.take().unwrap()).lines().map(Result::unwrap);
     assert!(said.any(|line| line.contains("\"progress\"")));
@@ -173,7 +173,7 @@ fn after_the_first_interrupt_the_run_stops_and_the_next_one_goes_on() {
     assert_eq!(child.wait().unwrap().code(), Some(130));
     assert_eq!(stages(&rest, "stopped"), ["b"]);
     assert_eq!(rest.last().unwrap()["exit_code"], 130);
-    let again = sealed.events("--set b.to=30 --set b.step_millis=20");
+    let again = sealed.events("--set b.to=100 --set b.step_millis=20");
     let first = of(&again, "progress")[0];
     assert!(first["step"].as_u64().unwrap() > 1, "it went on from its checkpoint: {first}");
     assert_eq!(sealed.read("results/chain-default/c.md"), undisturbed.read("results/chain-default/c.md"));

@@ -111,3 +111,18 @@ fn a_note_that_cannot_be_read_is_written_anew() {
     sealed.run_ok("run p.yaml");
     assert_eq!(sealed.read("results/two-default/.dril-pipe.json"), note);
 }
+
+#[test]
+fn where_results_cannot_be_copied_the_run_still_tells_what_it_did() {
+    let sealed = Sealed::with(TWO);
+    sealed.write("taken", "a file");
+    let ended = sealed.run("run p.yaml --out taken/folder");
+    assert_eq!(ended.code, 4, "{ended:?}");
+    assert!(ended.stdout.contains("done: 3 ran, in "), "{}", ended.stdout);
+    assert!(ended.stderr.starts_with("error: cannot ") && ended.stderr.contains("taken"), "{}", ended.stderr);
+    let events = sealed.events("--out taken/folder");
+    let last = events.last().unwrap();
+    assert_eq!((&last["event"], &last["exit_code"]), (&"ended".into(), &4.into()));
+    assert!(last["error"].as_str().unwrap().contains("taken"), "{last}");
+    assert!(sealed.run_ok("run p.yaml").contains("0 stages executed"), "the work is in the store");
+}

@@ -106,6 +106,17 @@ impl<'g> Bars<'g> {
         }
     }
 
+    /// Takes all moving lines off the screen.
+    fn clear(&mut self) {
+        for (_, running) in std::mem::take(&mut self.running) {
+            running.line.finish_and_clear();
+        }
+        if let Some(live) = self.live.take() {
+            live.whole.finish_and_clear();
+            live.gap.finish_and_clear();
+        }
+    }
+
     fn draw_whole(&self) {
         let Some(live) = &self.live else { return };
         let (settled, total) = self.story.settled();
@@ -235,12 +246,15 @@ impl Reporter for Bars<'_> {
     }
 
     fn ended(&mut self, ending: &Ending<'_>) {
-        if let Some(live) = self.live.take() {
-            live.whole.finish_and_clear();
-            live.gap.finish_and_clear();
-        }
-        let line = self.story.ended(ending);
-        self.say(Line::Out(line));
+        self.clear();
+        self.story.ended(ending).into_iter().for_each(Line::print);
+    }
+}
+
+impl Drop for Bars<'_> {
+    /// An error ends the run without a word to its reporters; the error's text needs a clean screen.
+    fn drop(&mut self) {
+        self.clear();
     }
 }
 

@@ -1,5 +1,5 @@
 //! What happens as lines of JSON on standard output, for programs: `event` names the sort, `at` is in seconds since the
-//! start. The last line has the event `ended`, or `error` where nothing could run.
+//! start. The last line has the event `ended`, or `error` where the run could not begin or not go on.
 
 use std::time::Instant;
 
@@ -93,11 +93,14 @@ impl Reporter for Json<'_> {
                 "earlier": published.earlier, "removed": published.removed,
             });
         }
+        if let Some(error) = ending.error {
+            fields["error"] = json!(error.message());
+        }
         self.say("ended", fields);
     }
 }
 
-/// The line of an error that kept everything from running.
+/// The line of an error that kept the run from beginning, or from going on.
 pub(in crate::cli) fn error_line(error: &Error) -> String {
     let code = error.kind().exit_code();
     let fields = json!({

@@ -12,6 +12,7 @@ pub(super) use json::error_line;
 use super::args::RunArgs;
 use super::results::Published;
 use super::terminal::Terminal;
+use crate::error::Error;
 use crate::exec::{Event, Executed};
 use crate::plan::Plan;
 use crate::resolve::Graph;
@@ -33,6 +34,8 @@ pub(super) struct Ending<'a> {
     pub executed: &'a Executed,
     /// The results folder; `None` where there are no results.
     pub published: Option<&'a Published>,
+    /// Why results could not be copied.
+    pub error: Option<&'a Error>,
     /// The program's exit code.
     pub exit_code: u8,
 }

@@ -77,6 +77,6 @@ impl Reporter for Plain<'_> {
     }
 
     fn ended(&mut self, ending: &Ending<'_>) {
-        Line::Out(self.story.ended(ending)).print();
+        self.story.ended(ending).into_iter().for_each(Line::print);
     }
 }

@@ -28,5 +28,9 @@ impl Reporter for Quiet<'_> {
         }
     }
 
-    fn ended(&mut self, _: &Ending<'_>) {}
+    fn ended(&mut self, ending: &Ending<'_>) {
+        if let Some(error) = ending.error {
+            print_error(&error.to_string());
+        }
+    }
 }

@@ -119,7 +119,12 @@ impl<'g> Story<'g> {
     }
 
     /// The last lines.
-    pub fn ended(&self, ending: &Ending<'_>) -> String {
+    pub fn ended(&self, ending: &Ending<'_>) -> Vec<Line> {
+        let error = ending.error.map(|error| Line::Error(error.to_string().trim_end().to_owned()));
+        [Line::Out(self.end(ending))].into_iter().chain(error).collect()
+    }
+
+    fn end(&self, ending: &Ending<'_>) -> String {
         let mut text = self.verdict(&ending.executed.outcome);
         if let Some(published) = ending.published {
             let folder = shown(&published.folder);
