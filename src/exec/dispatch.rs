@@ -6,15 +6,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
-use serde_json::json;
-
 use super::journal::Journal;
 use super::ready::{Elsewhere, Ready};
 use super::work::{Failure, News, Site, Task};
 use super::{Event, Executed, Outcome};
 use crate::plan::{self, Cached, Order, OutsideFile, Reason, Verdict};
 use crate::resolve::{Graph, StageIndex};
-use crate::store::{Fingerprint, History, Key, Outputs, Run, StoreError};
+use crate::store::{History, Key, Outputs, StoreError};
 
 /// How soon a wish to stop is noticed.
 const GLANCE: Duration = Duration::from_millis(50);
@@ -53,11 +51,9 @@ pub(super) type Start<'s, 'a> = dyn FnMut(Task<'a>) + 's;
 pub(super) struct Dispatcher<'a, 's> {
     shape: Shape<'a>,
     site: Site<'a>,
-    sink: &'s mut dyn FnMut(&Event),
     began: Instant,
     history: History,
-    run: Option<Arc<Run>>,
-    journal: Journal,
+    journal: Journal<'a, 's>,
     state: Vec<State>,
     keys: Vec<Option<Key>>,
     why: Vec<Option<Vec<Reason>>>,
@@ -90,11 +86,9 @@ impl<'a, 's> Dispatcher<'a, 's> {
         Self {
             shape,
             site,
-            sink,
             began,
             history,
-            run: None,
-            journal: Journal::new(began),
+            journal: Journal::new(shape.graph, began, sink),
             state: vec![State::Pending; count],
             keys: vec![None; count],
             why: vec![None; count],
@@ -122,7 +116,7 @@ impl<'a, 's> Dispatcher<'a, 's> {
         start: &mut Start<'_, 'a>,
     ) -> Result<(), StoreError> {
         let threads = self.budget();
-        self.tell(&Event::Started { stages: steps.len(), threads });
+        self.journal.tell(&Event::Started { stages: steps.len(), threads });
         self.take_over(steps)?;
         loop {
             self.look_at_stop(stop);
@@ -134,7 +128,7 @@ impl<'a, 's> Dispatcher<'a, 's> {
             if self.running == 0 && self.committing == 0 && !waits {
                 return Ok(());
             }
-            self.write_journal(false)?;
+            self.journal.write(false)?;
             match news.recv_timeout(self.patience()) {
                 Ok(first) => {
                     for item in std::iter::once(first).chain(news.try_iter()) {
@@ -157,14 +151,13 @@ impl<'a, 's> Dispatcher<'a, 's> {
             }
         }
         self.outcome.took = self.began.elapsed();
-        self.tell(&Event::Finished { outcome: self.outcome.clone() });
-        self.write_journal(true)?;
+        let run = self.journal.finish(&self.outcome)?;
         if self.outcome.is_complete() {
             self.history.compact()?
         } else {
             self.history.flush()?
         }
-        let folder = self.run.as_ref().map(|run| run.folder().to_owned());
+        let folder = run.map(|run| run.folder().to_owned());
         Ok(Executed { outcome: self.outcome, outputs: self.done, folder })
     }
 
@@ -197,7 +190,7 @@ impl<'a, 's> Dispatcher<'a, 's> {
         if !self.stopping && stop.load(Ordering::Relaxed) {
             self.stopping = true;
             self.site.halt.store(true, Ordering::Relaxed);
-            self.tell(&Event::Stopping);
+            self.journal.tell(&Event::Stopping);
         }
     }
 
@@ -222,10 +215,13 @@ impl<'a, 's> Dispatcher<'a, 's> {
             self.state[stage.index()] = State::Twin;
             return Ok(());
         }
-        let run = self.open_run()?;
+        let done = self.shape.graph.stages.node_indices().zip(&self.keys).zip(&self.done);
+        let done =
+            done.filter_map(|((stage, key), done)| Some((stage, key.as_ref().filter(|_| done.is_some())?)));
+        let run = self.journal.open(self.site.store, self.site.options.threads.max(1), done)?;
         let Some(lock) = self.site.store.try_lock(&key)? else {
             if self.elsewhere.note(stage, Instant::now()) {
-                self.tell(&Event::Waiting { stage });
+                self.journal.tell(&Event::Waiting { stage });
             }
             return Ok(());
         };
@@ -240,7 +236,7 @@ impl<'a, 's> Dispatcher<'a, 's> {
         self.state[stage.index()] = State::Running;
         self.running += 1;
         self.threads_used += self.threads(stage);
-        self.tell(&Event::StageStarted { stage, key, why });
+        self.journal.tell(&Event::StageStarted { stage, key, why });
         start(Task::new(stage, key, lock, run, self.shape, &self.done, self.site));
         Ok(())
     }
@@ -248,7 +244,7 @@ impl<'a, 's> Dispatcher<'a, 's> {
     fn hear(&mut self, news: News) -> Result<(), StoreError> {
         match news {
             News::Said(stage, dril_stage_api::Message::Progress(progress)) => {
-                self.tell(&Event::Progressed { stage, progress });
+                self.journal.tell(&Event::Progressed { stage, progress });
                 Ok(())
             }
             News::Said(..) => Ok(()),
@@ -292,7 +288,7 @@ impl<'a, 's> Dispatcher<'a, 's> {
             Failure::Stopped => {
                 self.state[stage.index()] = State::Over;
                 self.outcome.stopped += 1;
-                self.tell(&Event::Stopped { stage });
+                self.journal.tell(&Event::Stopped { stage });
             }
             Failure::Failed(error) => {
                 self.failed(stage, error);
@@ -314,7 +310,7 @@ impl<'a, 's> Dispatcher<'a, 's> {
         match committed {
             Ok(took) => {
                 self.outcome.ran += 1;
-                self.tell(&Event::StageFinished { stage, took });
+                self.journal.tell(&Event::StageFinished { stage, took });
                 self.note(stage)
             }
             // Its outputs can be used, so what depends on it goes on; but it has no record.
@@ -331,9 +327,9 @@ impl<'a, 's> Dispatcher<'a, 's> {
         if !self.site.options.keep_going {
             self.halted.get_or_insert(stage);
         }
-        let log = self.run.as_ref().map(|run| run.log(&self.log_stem(stage))).unwrap_or_default();
+        let log = self.journal.run().map(|run| run.log(&self.log_stem(stage))).unwrap_or_default();
         let log_tail = crate::fsx::tail(&log, TAIL).unwrap_or_default();
-        self.tell(&Event::StageFailed { stage, error, log_tail, log });
+        self.journal.tell(&Event::StageFailed { stage, error, log_tail, log });
     }
 
     /// Skips all that can not run because `because` failed.
@@ -352,7 +348,7 @@ impl<'a, 's> Dispatcher<'a, 's> {
     fn skip(&mut self, stage: StageIndex, because: StageIndex) {
         self.state[stage.index()] = State::Over;
         self.outcome.skipped += 1;
-        self.tell(&Event::Skipped { stage, because });
+        self.journal.tell(&Event::Skipped { stage, because });
     }
 
     /// A stage whose outputs are there: done without running, and so may be those behind it.
@@ -366,7 +362,7 @@ impl<'a, 's> Dispatcher<'a, 's> {
         self.state[stage.index()] = State::Done;
         self.done[stage.index()] = Some(outputs);
         self.outcome.cached += 1;
-        self.tell(&Event::Cached { stage, key });
+        self.journal.tell(&Event::Cached { stage, key });
         self.note(stage)
     }
 
@@ -423,43 +419,11 @@ impl<'a, 's> Dispatcher<'a, 's> {
         Ok(why)
     }
 
-    /// The run's folders are made when the first stage starts: a run with nothing to do leaves no trace.
-    fn open_run(&mut self) -> Result<Arc<Run>, StoreError> {
-        if let Some(run) = &self.run {
-            return Ok(Arc::clone(run));
-        }
-        let graph = self.shape.graph;
-        let run = Arc::new(self.site.store.begin_run(&json!({
-            "version": 1, "pipeline": graph.pipeline, "profile": graph.profile,
-            "stages": graph.stages.node_count(), "fingerprint": Fingerprint::current(),
-        }))?);
-        self.run = Some(Arc::clone(&run));
-        let threads = self.budget();
-        self.journal.note(graph, &Event::Started { stages: self.state.len(), threads });
-        for (stage, key) in graph.stages.node_indices().zip(&self.keys) {
-            if let (State::Done, Some(key)) = (self.state[stage.index()], key) {
-                self.journal.note(graph, &Event::Cached { stage, key: *key });
-            }
-        }
-        Ok(run)
-    }
-
     fn note(&mut self, stage: StageIndex) -> Result<(), StoreError> {
         match (self.keys[stage.index()], &self.done[stage.index()]) {
             (Some(key), Some(outputs)) => self.history.note(&self.shape.graph.stages[stage].id, key, outputs),
             _ => Ok(()),
         }
-    }
-
-    fn tell(&mut self, event: &Event) {
-        if self.run.is_some() {
-            self.journal.note(self.shape.graph, event);
-        }
-        (self.sink)(event);
-    }
-
-    fn write_journal(&mut self, now: bool) -> Result<(), StoreError> {
-        self.run.as_ref().map_or(Ok(()), |run| self.journal.write(run, now))
     }
 
     fn log_stem(&self, stage: StageIndex) -> String {

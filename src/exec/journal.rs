@@ -1,50 +1,95 @@
-//! A run's events as lines of JSON in its folder, for whoever looks at the run later. Version 1; `at` is in seconds since
-//! the run began. Progress is left out.
+//! What is told of a run: to whoever listens, and as lines of JSON to `events.jsonl` in the run's folder, for whoever
+//! looks at the run later. Version 1; `at` is in seconds since the run began. Progress is left out.
 
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
-use super::Event;
+use super::{Event, Outcome};
 use crate::resolve::{Graph, StageIndex};
-use crate::store::{Run, StoreError};
+use crate::store::{Fingerprint, Key, Run, Store, StoreError};
 
 /// Lines are written at most this often, and at the end.
 const PAUSE: Duration = Duration::from_millis(100);
 
-/// Gathers lines and writes them now and then.
-#[derive(Debug)]
-pub(super) struct Journal {
+/// Tells events, and keeps the run's folder.
+pub(super) struct Journal<'a, 's> {
+    graph: &'a Graph,
+    sink: &'s mut dyn FnMut(&Event),
+    run: Option<Arc<Run>>,
     began: Instant,
     written: Instant,
     lines: Vec<u8>,
 }
 
-impl Journal {
-    pub fn new(began: Instant) -> Self {
-        Self { began, written: began, lines: Vec::new() }
+impl<'a, 's> Journal<'a, 's> {
+    pub fn new(graph: &'a Graph, began: Instant, sink: &'s mut dyn FnMut(&Event)) -> Self {
+        Self { graph, sink, run: None, began, written: began, lines: Vec::new() }
     }
 
-    /// Takes an event down.
-    pub fn note(&mut self, graph: &Graph, event: &Event) {
-        if let Some(mut line) = line(graph, event) {
-            line["at"] = json!(self.began.elapsed().as_millis() as f64 / 1000.0);
-            self.lines.extend_from_slice(line.to_string().as_bytes());
-            self.lines.push(b'\n');
+    /// Tells an event. Before the run has a folder it is not written.
+    pub fn tell(&mut self, event: &Event) {
+        if self.run.is_some() {
+            self.note(event);
         }
+        (self.sink)(event);
+    }
+
+    /// The run's folder, where it has one.
+    pub fn run(&self) -> Option<&Arc<Run>> {
+        self.run.as_ref()
+    }
+
+    /// The run's folder. It is made when the first stage starts: a run with nothing to do leaves no trace. `done` are the
+    /// stages that were told to be cached until then.
+    pub fn open<'k>(
+        &mut self,
+        store: &Store,
+        threads: usize,
+        done: impl Iterator<Item = (StageIndex, &'k Key)>,
+    ) -> Result<Arc<Run>, StoreError> {
+        if let Some(run) = &self.run {
+            return Ok(Arc::clone(run));
+        }
+        let stages = self.graph.stages.node_count();
+        let run = Arc::new(store.begin_run(&json!({
+            "version": 1, "pipeline": self.graph.pipeline, "profile": self.graph.profile, "stages": stages,
+            "fingerprint": Fingerprint::current(),
+        }))?);
+        self.run = Some(Arc::clone(&run));
+        self.note(&Event::Started { stages, threads });
+        for (stage, key) in done {
+            self.note(&Event::Cached { stage, key: *key });
+        }
+        Ok(run)
+    }
+
+    /// Tells the end and writes what is left to write.
+    pub fn finish(mut self, outcome: &Outcome) -> Result<Option<Arc<Run>>, StoreError> {
+        self.tell(&Event::Finished { outcome: outcome.clone() });
+        self.write(true)?;
+        Ok(self.run)
     }
 
     /// Writes what has gathered, if it is time or `now`.
-    ///
-    /// # Errors
-    /// The store cannot be written.
-    pub fn write(&mut self, run: &Run, now: bool) -> Result<(), StoreError> {
-        if !self.lines.is_empty() && (now || self.written.elapsed() >= PAUSE) {
+    pub fn write(&mut self, now: bool) -> Result<(), StoreError> {
+        if let Some(run) = self.run.as_ref().filter(|_| !self.lines.is_empty())
+            && (now || self.written.elapsed() >= PAUSE)
+        {
             run.append_events(&self.lines)?;
             self.lines.clear();
             self.written = Instant::now();
         }
         Ok(())
+    }
+
+    fn note(&mut self, event: &Event) {
+        if let Some(mut line) = line(self.graph, event) {
+            line["at"] = json!(self.began.elapsed().as_millis() as f64 / 1000.0);
+            self.lines.extend_from_slice(line.to_string().as_bytes());
+            self.lines.push(b'\n');
+        }
     }
 }
 

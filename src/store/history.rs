@@ -93,10 +93,13 @@ impl History {
     /// The file cannot be written.
     pub fn flush(&mut self) -> Result<(), StoreError> {
         if self.gathered > 0 {
-            if let Some(folder) = self.path.parent().filter(|_| self.lines == self.gathered) {
-                fsx::create_dir_all(folder)?;
+            match (fsx::append(&self.path, &self.unwritten), self.path.parent()) {
+                (Err(error), Some(folder)) if error.is_not_found() => {
+                    fsx::create_dir_all(folder)?;
+                    fsx::append(&self.path, &self.unwritten)?;
+                }
+                (result, _) => result?,
             }
-            fsx::append(&self.path, &self.unwritten)?;
             self.unwritten.clear();
             self.gathered = 0;
         }

@@ -66,7 +66,7 @@ fn a_committed_record_is_found_and_a_foreign_one_is_damaged() {
 fn opening_writes_nothing_and_a_file_is_no_store() {
     let (folder, store) = store();
     assert_eq!(store.record(&Key::new([0; 32])).unwrap(), None);
-    assert_eq!(fsx::list(folder.path()).unwrap(), [PathBuf::new(); 0]);
+    assert!(fsx::list(folder.path()).unwrap().is_empty());
     let file = folder.path().join("file");
     fsx::write(&file, b"").unwrap();
     let text = Store::open(&file).unwrap_err().to_string();

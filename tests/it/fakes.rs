@@ -311,7 +311,7 @@ fn mishap(params: &CountParams, step: u64, ctx: &Ctx<'_>) -> Result<(), StageErr
             trace("hang", "count", ctx);
         },
         Mishap::Orphan => {
-            let script = "while true; do echo left >> \"$DRIL_FAKES_TRACE\"; sleep 0.02; done";
+            let script = "while true; do echo left sh - $$ >> \"$DRIL_FAKES_TRACE\"; sleep 0.02; done";
             std::process::Command::new("sh").args(["-c", script]).spawn().map_err(StageError::failed)?;
         }
         Mishap::Chatter => {

@@ -76,13 +76,20 @@ fn model(nodes: &[Node]) -> Vec<String> {
 }
 
 /// What a stage's result depends on, by the model: its own parameters and the texts that it reads.
-fn work(nodes: &[Node], texts: &[String]) -> Vec<(u8, usize, u32, usize, Vec<(usize, String)>)> {
-    let of = |(at, node): (usize, &Node)| {
-        let reads = node.feeders.iter().map(|feeder| (*feeder, texts[*feeder].clone())).collect();
-        let keep = if node.feeders.is_empty() { 0 } else { node.keep };
-        (node.letter, keep, node.cost, at, reads)
+#[derive(PartialEq)]
+struct Work {
+    letter: u8,
+    keep: Option<usize>,
+    reads: Vec<(usize, String)>,
+}
+
+fn work(nodes: &[Node], texts: &[String]) -> Vec<Work> {
+    let of = |node: &Node| Work {
+        letter: node.letter,
+        keep: (!node.feeders.is_empty()).then_some(node.keep),
+        reads: node.feeders.iter().map(|feeder| (*feeder, texts[*feeder].clone())).collect(),
     };
-    nodes.iter().enumerate().map(of).collect()
+    nodes.iter().map(of).collect()
 }
 
 fn texts(lab: &Lab, ran: &Ran, nodes: &[Node]) -> Vec<String> {
