@@ -3,11 +3,15 @@
 use std::path::Path;
 
 use super::Ending;
+use crate::cli::names::Names;
 use crate::cli::plan::Counts;
 use crate::cli::terminal::{Style, Terminal, count, duration, print, print_error, printable, shown};
 use crate::exec::{Event, Outcome};
 use crate::plan::{Plan, Verdict};
 use crate::resolve::{Graph, StageIndex};
+
+/// At most so many stages are named as skipped.
+const MOST_SKIPPED: usize = 8;
 
 /// A line (or a block of lines) and where it goes.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -38,12 +42,21 @@ pub(super) struct Story<'g> {
     /// Cached from the start, by node index: not worth a line.
     known: Vec<bool>,
     failed: Vec<StageIndex>,
+    skipped: Vec<StageIndex>,
 }
 
 impl<'g> Story<'g> {
     pub fn new(graph: &'g Graph, terminal: Terminal) -> Self {
         let total = graph.stages.node_count();
-        Self { graph, terminal, total, done: 0, known: vec![false; total], failed: Vec::new() }
+        Self {
+            graph,
+            terminal,
+            total,
+            done: 0,
+            known: vec![false; total],
+            failed: Vec::new(),
+            skipped: Vec::new(),
+        }
     }
 
     /// The name of an instance.
@@ -79,8 +92,7 @@ impl<'g> Story<'g> {
             Event::Cached { stage, .. } => {
                 self.done += 1;
                 let known = self.known.get(stage.index()).copied().unwrap_or_default();
-                (!known)
-                    .then(|| self.line(Style::Quiet, "cached", *stage, " (its inputs came out as before)"))
+                (!known).then(|| self.line(Style::Quiet, "cached", *stage, ""))
             }
             Event::StageFinished { stage, took } => {
                 self.done += 1;
@@ -91,14 +103,15 @@ impl<'g> Story<'g> {
                 self.failed.push(*stage);
                 Some(Line::Error(failure(self.id(*stage), error, log_tail, log)))
             }
-            Event::Skipped { stage, because } => {
+            Event::Skipped { stage, .. } => {
+                // They can be many; the end names them in groups.
                 self.done += 1;
-                let because = format!(" (it needs {})", self.id(*because));
-                Some(self.line(Style::Notable, "skipped", *stage, &because))
+                self.skipped.push(*stage);
+                None
             }
             Event::Stopped { stage } => Some(self.line(Style::Notable, "stopped", *stage, "")),
             Event::Waiting { stage } => {
-                Some(self.line(Style::Quiet, "waiting", *stage, " (another run is making it)"))
+                Some(self.line(Style::Quiet, "waiting", *stage, " (it is being made already)"))
             }
             Event::Stopping => {
                 let text = "stopping: running stages save their state; once more to end at once";
@@ -166,6 +179,11 @@ impl<'g> Story<'g> {
         };
         for stage in &self.failed {
             text += &format!("\n  failed: {}", self.id(*stage));
+        }
+        if !self.skipped.is_empty() {
+            let mut skipped = self.skipped.clone();
+            skipped.sort_unstable();
+            text += &format!("\n  skipped: {}", Names::new(self.graph).groups(&skipped, MOST_SKIPPED));
         }
         text
     }
