@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use petgraph::graph::DiGraph;
 
 use super::cycles;
-use super::expand::{Expanded, Instance, World};
+use super::expand::{ENOUGH, Expanded, Instance, World};
 use super::graph::{From, Graph, StageIndex, StageInstance};
 use super::scope::Filler;
 use super::wiring::{Wirer, Wires};
@@ -41,8 +41,12 @@ fn connect(world: &World<'_>, stages: &[Expanded<'_>], filler: &mut Filler<'_>) 
     let mut wirer = Wirer::new(world, stages, filler);
     let mut wires = Vec::new();
     for stage in stages {
+        let before = wirer.filler.problems.reports();
         for (number, instance) in stage.instances.iter().enumerate() {
-            let connected = instance.as_ref().map(|instance| wirer.connect(stage, number, instance));
+            let reports = wirer.filler.problems.reports();
+            let enough = reports > before + ENOUGH || wirer.filler.problems.is_full();
+            let instance = instance.as_ref().filter(|_| !enough);
+            let connected = instance.map(|instance| wirer.connect(stage, number, instance));
             wires.push(connected.unwrap_or_default());
         }
         if stage.instances.iter().all(Option::is_none) {

@@ -37,6 +37,9 @@ pub(super) struct Expanded<'a> {
     pub inputs: Vec<(&'a Key, &'a Node)>,
 }
 
+/// After so many reports about the instances of one stage, the rest of them would only repeat them.
+pub(super) const ENOUGH: usize = 20;
+
 /// What an instance is, apart from its wiring.
 pub(super) struct Instance {
     pub params: Json,
@@ -221,7 +224,11 @@ fn instances<'a>(
     let own = defaults.iter().filter_map(|defaults| defaults.with.as_ref()).chain(&stage.with);
     let layers: Vec<&Node> = own.chain(over).collect();
     let place = format!("stage `{}`", stage.name.text);
+    let before = filler.problems.reports();
     let build = |instance| {
+        if filler.problems.reports() > before + ENOUGH || filler.problems.is_full() {
+            return None;
+        }
         let scope = Scope {
             globals: world.globals,
             axes: expanded.coordinates(instance),

@@ -2,7 +2,8 @@
 //! Pure: no I/O. All problems at once.
 //!
 //! `choices` reads profile and `--set`; `globals` and `axes` give params and axes their values; `expand` multiplies
-//! matrices out and has each instance's parameters checked; `wiring` connects instances; `build` makes the graph.
+//! matrices out and has each instance's parameters checked; `items`, `select` and `wiring` connect
+//! instances; `build` makes the graph.
 //! `scope` knows what `$name` means where, `template` and `reference` take its text and that of a wiring apart.
 
 mod axes;
@@ -12,6 +13,7 @@ mod cycles;
 mod expand;
 mod globals;
 mod graph;
+mod items;
 mod merge;
 mod params;
 mod reference;

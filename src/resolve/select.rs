@@ -12,6 +12,7 @@ use crate::spec::source::Span;
 use crate::spec::suggest;
 
 /// What a wiring is read for: one input of one instance.
+#[derive(Clone, Copy)]
 pub(super) struct Consumer<'a> {
     pub stage: &'a str,
     pub input: &'a Input,

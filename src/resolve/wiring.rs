@@ -1,16 +1,16 @@
 //! Connecting the inputs of stage instances to outputs and files, with every type and number checked.
 
 use std::collections::{HashMap, HashSet};
-use std::sync::Arc;
 
 use dril_stage_api::{Arity, Input, Labels};
 
 use super::expand::{Expanded, Instance, World};
 use super::graph::{From, Source, StageIndex, Wire};
+use super::items::{Item, Unpacker, What};
 use super::reference::{self, Reference};
 use super::scope::{Filler, Scope};
 use super::select::{self, Chosen, Consumer};
-use super::template::{self, Lone, Path, Template};
+use super::template::Path;
 use crate::spec::node::{Key, Node, Value};
 use crate::spec::problem::Problem;
 use crate::spec::source::Span;
@@ -27,21 +27,9 @@ pub(super) struct Wirer<'a, 'p, 'f> {
     world: &'a World<'a>,
     stages: &'a [Expanded<'a>],
     by_name: HashMap<&'a str, usize>,
-    filler: &'f mut Filler<'p>,
+    /// Where problems go.
+    pub filler: &'f mut Filler<'p>,
     sources: usize,
-}
-
-/// One artifact that a wiring means, or several.
-struct Item {
-    name: Option<Arc<str>>,
-    node: Node,
-    what: What,
-}
-
-enum What {
-    File(String),
-    /// The text of a reference.
-    Stage(String),
 }
 
 /// An input being connected.
@@ -166,8 +154,13 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
     }
 
     fn fill_input(&mut self, node: &Node, connection: &mut Connection<'_>) {
-        let mut items = Vec::new();
-        self.items(node, None, false, connection, &mut items);
+        let Connection { consumer, scope, at, .. } = *connection;
+        let filler = &mut *self.filler;
+        let mut unpacker =
+            Unpacker { filler, scope, input: consumer.input, at, items: Vec::new(), broken: false };
+        unpacker.unpack(node);
+        let Unpacker { items, broken, .. } = unpacker;
+        connection.broken = broken;
         for item in &items {
             match &item.what {
                 What::File(path) => {
@@ -178,130 +171,6 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
                 What::Stage(text) => self.stage(text, item, connection),
             }
         }
-    }
-
-    /// Takes a wiring apart into single references and files. `literal` where the node came from a `$name`: what is in
-    /// it has been filled in already.
-    fn items(
-        &mut self,
-        node: &Node,
-        name: Option<&Arc<str>>,
-        literal: bool,
-        connection: &mut Connection<'_>,
-        items: &mut Vec<Item>,
-    ) {
-        match &node.value {
-            Value::Text(text) => self.text(text, node, name, literal, connection, items),
-            Value::List(list) => {
-                list.iter().for_each(|node| self.items(node, name, literal, connection, items));
-                if list.is_empty() {
-                    self.not_a_wiring(node, connection);
-                }
-            }
-            Value::Map(entries) if entries.iter().any(|(key, _)| &*key.text == "file") => {
-                self.file(entries, node, name, literal, connection, items);
-            }
-            Value::Map(entries) if name.is_none() && !entries.is_empty() => {
-                if connection.consumer.input.arity != Arity::Many {
-                    return self.named_single(node, connection);
-                }
-                entries
-                    .iter()
-                    .for_each(|(key, node)| self.items(node, Some(&key.text), literal, connection, items));
-            }
-            Value::Broken => connection.broken = true,
-            _ => self.not_a_wiring(node, connection),
-        }
-    }
-
-    fn text(
-        &mut self,
-        text: &str,
-        node: &Node,
-        name: Option<&Arc<str>>,
-        literal: bool,
-        connection: &mut Connection<'_>,
-        items: &mut Vec<Item>,
-    ) {
-        if !literal && let Ok(Template::Exact(path)) = template::parse(text, Lone::Keep) {
-            let at = self.filler.within(node, text, path.range.clone());
-            return match self.filler.value(&path, at, connection.scope) {
-                Some(value) => self.items(&value.brought_in(at), name, true, connection, items),
-                None => connection.broken = true,
-            };
-        }
-        let filled =
-            if literal { Some(text.to_owned()) } else { self.filler.braces(text, node, connection.scope) };
-        match filled {
-            Some(text) => {
-                items.push(Item { name: name.cloned(), node: node.clone(), what: What::Stage(text) });
-            }
-            None => connection.broken = true,
-        }
-    }
-
-    fn file(
-        &mut self,
-        entries: &[(Key, Node)],
-        node: &Node,
-        name: Option<&Arc<str>>,
-        literal: bool,
-        connection: &mut Connection<'_>,
-        items: &mut Vec<Item>,
-    ) {
-        if let [(key, path)] = entries {
-            let filled = if literal { Some(path.clone()) } else { self.filler.fill(path, connection.scope) };
-            let Some(path) = filled else {
-                connection.broken = true;
-                return;
-            };
-            if let Value::Text(text) = &path.value
-                && !text.is_empty()
-                && !text.contains('\0')
-            {
-                let what = What::File(text.to_string());
-                items.push(Item { name: name.cloned(), node: path.clone(), what });
-                return;
-            }
-            connection.broken = true;
-            let at = if path.span.is_empty() { key.span } else { path.span };
-            self.filler.problems.add(|| {
-                Problem::new(at, format!("`file` is {}, expected a path", path.describe()))
-                    .hint("paths are relative to the folder of the pipeline file")
-            });
-            return;
-        }
-        connection.broken = true;
-        self.filler.problems.add(|| {
-            Problem::new(node.span, "found `file` beside other names, expected `{ file: path }` alone")
-                .hint("in a named fan-in, write `{ my-name: { file: path }, ... }`")
-        });
-    }
-
-    fn not_a_wiring(&mut self, node: &Node, connection: &mut Connection<'_>) {
-        connection.broken = true;
-        let at = if node.span.is_empty() { connection.at } else { node.span };
-        let input = connection.consumer.input.name;
-        self.filler.problems.add(|| {
-            let what = match &node.value {
-                Value::List(_) => "an empty list".to_owned(),
-                Value::Map(entries) if entries.is_empty() => "an empty map".to_owned(),
-                Value::Map(_) => "a map inside a map".to_owned(),
-                _ => node.describe(),
-            };
-            Problem::new(at, format!("found {what} at input `{input}`, expected what is wired to it"))
-                .hint(reference::FORM)
-        });
-    }
-
-    fn named_single(&mut self, node: &Node, connection: &mut Connection<'_>) {
-        connection.broken = true;
-        let input = connection.consumer.input.name;
-        self.filler.problems.add(|| {
-            Problem::new(node.span, format!("input `{input}` takes one artifact, but found a map of names"))
-                .hint("only inputs that take many artifacts tell them apart by name")
-                .hint(reference::FORM)
-        });
     }
 
     /// Adds what a reference means.

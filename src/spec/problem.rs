@@ -63,12 +63,14 @@ pub(crate) struct Problems {
     found: Vec<Problem>,
     seen: HashSet<(Span, String)>,
     more: usize,
+    reports: usize,
 }
 
 impl Problems {
     /// Reports a problem. The closure is called only while there is room: finding a misspelt name's nearest relative
     /// takes time.
     pub fn add(&mut self, problem: impl FnOnce() -> Problem) {
+        self.reports += 1;
         if self.found.len() >= LIMIT {
             self.more += 1;
             return;
@@ -77,6 +79,16 @@ impl Problems {
         if self.seen.insert((problem.at, problem.message.clone())) {
             self.found.push(problem);
         }
+    }
+
+    /// How often something was reported, repetitions included.
+    pub fn reports(&self) -> usize {
+        self.reports
+    }
+
+    /// True where what is still to be found would not be listed.
+    pub fn is_full(&self) -> bool {
+        self.found.len() >= LIMIT
     }
 
     /// True where nothing is wrong so far.

@@ -12,14 +12,18 @@ pub(crate) fn nearest<'a>(seen: &str, known: impl IntoIterator<Item = &'a str>) 
     }
     let plain = |name: &str| name.to_lowercase().replace('_', "-");
     let wanted = plain(seen);
-    let close = known.into_iter().filter_map(|name| {
+    let known: Vec<&str> = known.into_iter().collect();
+    let close = known.iter().copied().filter_map(|name| {
         let allowed = 1 + name.len() / 4;
         let far = name.len().abs_diff(seen.len()) > allowed || name.len() > LONGEST;
         let distance = if far { usize::MAX } else { strsim::damerau_levenshtein(&wanted, &plain(name)) };
         // One letter is near to every other; that is no likeness.
         (distance <= allowed && distance < seen.chars().count()).then_some((distance, name))
     });
-    close.min().map(|(_, name)| name)
+    let closest = close.min().map(|(_, name)| name);
+    // An abbreviation, where it can stand for one name only.
+    let long = || known.iter().copied().filter(|name| seen.len() >= 3 && plain(name).starts_with(&wanted));
+    closest.or_else(|| long().next().filter(|_| long().count() == 1))
 }
 
 /// "did you mean `a`? known are `a`, `b`", or as much of it as can be said. `what` names the known ones: "its inputs".
@@ -52,6 +56,8 @@ mod tests {
         assert_eq!(nearest("Policy", known), Some("policy"));
         assert_eq!(nearest("total-steps", known), Some("total_steps"));
         assert_eq!(nearest("ploicy", known), Some("policy"));
+        assert_eq!(nearest("demo", known), Some("demonstrations"));
+        assert_eq!(nearest("dem", ["demand", "demonstrations"]), None);
         assert_eq!(nearest("reward", known), None);
         assert_eq!(nearest("b", ["a"]), None);
         assert_eq!(nearest(&"x".repeat(10_000), known), None);
