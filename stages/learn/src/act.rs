@@ -226,3 +226,7 @@ impl<'a> Player<'a> {
         Ok(if step.outcome.ended() { row.episode.take().map(|(played, _)| played) } else { None })
     }
 }
+
+#[cfg(test)]
+#[path = "act_tests.rs"]
+mod tests;

@@ -124,3 +124,67 @@ fn episode(played: Played) -> Episode {
         actions: played.actions,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::net::Network;
+    use dril_envs::{EnvConfig, Outcome};
+    use dril_stage_api::Seed;
+    use dril_stage_api::testing::Bench;
+    use serde_json::json;
+
+    fn bench(above: f64, episodes: u64, family: PolicyFamily) -> Bench {
+        fast::prepare();
+        let params = json!({
+            "env": { "car-racing": { "time_limit": 7 } }, "episodes": episodes, "above": above, "max_attempts": 20,
+            "first_track_seed": 30
+        });
+        let bench = Bench::new::<CollectStage>(&params, 1).unwrap();
+        let path = bench.folder().join("policy");
+        let architecture =
+            crate::spaces::architecture(&EnvConfig::default(), family, None, Network::ExpertCnn).unwrap();
+        Policy::new(architecture, &mut Seed(1).stream("init")).unwrap().save(&path).unwrap();
+        bench.input("policy", &path, &[])
+    }
+
+    fn collected(above: f64, episodes: u64, family: PolicyFamily) -> Demonstrations {
+        let bench = bench(above, episodes, family);
+        bench.run().unwrap();
+        Demonstrations::read(&bench.output("demonstrations").unwrap()).unwrap()
+    }
+
+    #[test]
+    fn the_first_good_episodes_are_kept_with_what_was_seen_and_done() {
+        let all = collected(-100.0, 20, PolicyFamily::Beta);
+        assert_eq!(all.episodes.len(), 20);
+        let mut scores: Vec<f64> = all.episodes.iter().map(|episode| episode.score).collect();
+        scores.sort_by(f64::total_cmp);
+        let some = collected(scores[9], 5, PolicyFamily::Beta);
+        let good = all.episodes.iter().filter(|episode| episode.score > scores[9]);
+        assert_eq!(some.episodes, good.take(5).cloned().collect::<Vec<_>>());
+        for episode in &all.episodes {
+            assert_eq!((episode.frames.len(), episode.actions.len()), (7 * 84 * 84, 14));
+            assert_eq!(episode.outcome, Outcome::TimeLimit);
+            assert!(episode.actions.iter().all(|action| (-1.0..=1.0).contains(action)));
+        }
+        assert_eq!(some.header.action_range, ActionRange::Bounded);
+    }
+
+    #[test]
+    fn a_gaussians_actions_are_kept_as_it_gave_them() {
+        let demonstrations = collected(-100.0, 20, PolicyFamily::Gaussian);
+        assert_eq!(demonstrations.header.action_range, ActionRange::Raw);
+        let beyond =
+            demonstrations.episodes.iter().flat_map(|episode| &episode.actions).any(|a| a.abs() > 1.0);
+        assert!(beyond, "a standard deviation of 1 leaves the range");
+    }
+
+    #[test]
+    fn too_few_good_episodes_are_an_error_that_says_how_many_and_what_to_change() {
+        let message = bench(900.0, 3, PolicyFamily::Beta).run().unwrap_err().to_string();
+        for part in ["0 of 20 attempts", "above 900", "expected 3", "the best scored", "`max_attempts`"] {
+            assert!(message.contains(part), "{message}");
+        }
+    }
+}

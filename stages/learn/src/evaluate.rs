@@ -64,3 +64,40 @@ fn mean(rows: &[ScoreRow]) -> String {
     let sum: f64 = rows.iter().map(|row| row.score).sum();
     if rows.is_empty() { String::new() } else { format!("score {:.0}", sum / rows.len() as f64) }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::net::Network;
+    use crate::policy::PolicyFamily;
+    use dril_envs::EnvConfig;
+    use dril_stage_api::Seed;
+    use dril_stage_api::testing::Bench;
+    use serde_json::json;
+
+    fn scores(episodes: u64, mode: &str) -> Vec<ScoreRow> {
+        fast::prepare();
+        let params = json!({
+            "env": { "car-racing": { "time_limit": 6 } }, "mode": mode, "episodes": episodes, "first_track_seed": 30
+        });
+        let bench = Bench::new::<EvaluateStage>(&params, 1).unwrap();
+        let path = bench.folder().join("policy");
+        let architecture =
+            crate::spaces::architecture(&EnvConfig::default(), PolicyFamily::Beta, None, Network::ExpertCnn);
+        Policy::new(architecture.unwrap(), &mut Seed(1).stream("init")).unwrap().save(&path).unwrap();
+        let bench = bench.input("policy", &path, &[]);
+        bench.run().unwrap();
+        scores::read("scores", &bench.output("scores").unwrap()).unwrap()
+    }
+
+    #[test]
+    fn scores_stand_in_the_order_of_the_list_and_do_not_depend_on_its_length() {
+        for mode in ["deterministic", "stochastic"] {
+            let rows = scores(10, mode);
+            let seeds: Vec<(usize, u64)> = rows.iter().map(|row| (row.episode, row.track_seed)).collect();
+            assert_eq!(seeds, (0..10).map(|i| (i, 30 + i as u64)).collect::<Vec<_>>());
+            assert!(rows.iter().all(|row| row.steps == 6 && row.outcome == "time-limit"));
+            assert_eq!(scores(3, mode), rows[..3]);
+        }
+    }
+}

@@ -173,3 +173,77 @@ impl FrameStore {
         self.ages.resize(slots, 0);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const IMAGES: Observation = Observation::Images { height: 4, width: 8, stack: 3 };
+
+    /// A frame of which every pixel has a value of its own.
+    fn frame(number: u8) -> Vec<u8> {
+        (0..32).map(|pixel| number * 32 + pixel).collect()
+    }
+
+    /// The planes of an observation, out of their blocks: [stack, height · width].
+    fn planes(store: &FrameStore, slot: usize) -> Vec<Vec<u8>> {
+        let batch = store.gather(&[slot]);
+        assert_eq!(batch.size(), [1, 48, 1, 2]);
+        let planes = batch.view([3, 4, 4, 1, 2]).permute([0, 3, 1, 4, 2]).contiguous().view([3, 32]);
+        memory::values(&planes)
+            .chunks(32)
+            .map(|plane| plane.iter().map(|&value| value as u8).collect())
+            .collect()
+    }
+
+    #[test]
+    fn a_stack_has_the_oldest_frame_first_and_black_before_the_episode() {
+        let mut store = FrameStore::new(IMAGES);
+        for (number, first) in [(1, true), (2, false), (3, false), (4, false), (5, true), (6, false)] {
+            store.push(Frame::Image(&frame(number)), first);
+        }
+        let black = vec![0; 32];
+        assert_eq!(planes(&store, 0), [black.clone(), black.clone(), frame(1)]);
+        assert_eq!(planes(&store, 1), [black.clone(), frame(1), frame(2)]);
+        assert_eq!(planes(&store, 3), [frame(2), frame(3), frame(4)]);
+        assert_eq!(planes(&store, 4), [black.clone(), black.clone(), frame(5)], "not the episode before");
+        assert_eq!(planes(&store, 5), [black, frame(5), frame(6)]);
+    }
+
+    #[test]
+    fn carried_and_shifted_frames_keep_their_history() {
+        let mut store = FrameStore::with_slots(IMAGES, 7);
+        for (slot, number) in [1, 2, 3, 4].into_iter().enumerate() {
+            store.set(3 + slot, Frame::Image(&frame(number)), slot == 0);
+        }
+        store.carry(6, 3, 0);
+        assert_eq!(planes(&store, 2), [frame(2), frame(3), frame(4)]);
+        store.shift(2, 3);
+        store.set(2, Frame::Image(&frame(5)), false);
+        assert_eq!(planes(&store, 2), [frame(3), frame(4), frame(5)]);
+        store.shift(2, 3);
+        store.set(2, Frame::Image(&frame(6)), true);
+        assert_eq!(planes(&store, 2), [vec![0; 32], vec![0; 32], frame(6)]);
+    }
+
+    #[test]
+    fn vectors_are_gathered_in_the_order_asked_for() {
+        let mut store = FrameStore::new(Observation::Vector { len: 2 });
+        store.push(Frame::Vector(&[1.0, 2.0]), true);
+        store.push(Frame::Vector(&[3.0, 4.0]), false);
+        assert_eq!(memory::values(&store.gather(&[1, 0, 1])), [3.0, 4.0, 1.0, 2.0, 3.0, 4.0]);
+    }
+
+    #[test]
+    fn a_store_comes_back_from_a_checkpoint_and_refuses_one_of_another_size() {
+        let mut store = FrameStore::new(IMAGES);
+        store.push(Frame::Image(&frame(1)), true);
+        store.push(Frame::Image(&frame(2)), false);
+        let mut arrays = Arrays::new();
+        store.save("x", &mut arrays);
+        let mut other = FrameStore::with_slots(IMAGES, 2);
+        other.restore("x", &mut arrays.clone()).unwrap();
+        assert_eq!(other, store);
+        assert!(FrameStore::with_slots(IMAGES, 3).restore("x", &mut arrays).is_err());
+    }
+}

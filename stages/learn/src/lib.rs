@@ -38,6 +38,8 @@ pub mod ppo;
 pub mod rollout;
 pub mod spaces;
 pub mod split;
+#[cfg(test)]
+mod test_env;
 pub mod update;
 
 use dril_stage_api::Kind;

@@ -111,3 +111,91 @@ impl Adam {
 pub fn norm(gradients: &Gradients) -> f64 {
     gradients.iter().flatten().map(|g| adam::sum_of_squares(memory::values(g))).sum::<f64>().sqrt()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::net::{Init, ParamSpec};
+    use dril_stage_api::Seed;
+    use tch::nn::OptimizerConfig;
+    use tch::{Device, Kind, Tensor, nn};
+
+    fn params(count: i64) -> Parameters {
+        crate::fast::prepare();
+        let spec = |name: &str, shape: &[i64]| ParamSpec {
+            name: name.into(),
+            shape: shape.to_vec(),
+            init: Init::FanIn(1),
+        };
+        Parameters::new(vec![spec("a", &[count]), spec("b", &[3, 5])], Some(&mut Seed(1).stream("init")))
+    }
+
+    /// A loss with gradients of very different sizes.
+    fn loss(a: &Tensor, b: &Tensor) -> Tensor {
+        (a - 0.3).pow_tensor_scalar(4).sum(Kind::Float) + (b * 100.0).cos().sum(Kind::Float)
+    }
+
+    #[test]
+    fn steps_equal_those_of_torchs_own_optimizer() {
+        let mut params = params(37);
+        let ids: Vec<ParamId> = params.ids().collect();
+        let store = nn::VarStore::new(Device::Cpu);
+        let copies: Vec<Tensor> = ids
+            .iter()
+            .map(|id| store.root().var_copy(&params.spec(*id).name, &params.tensor(*id).detach()))
+            .collect();
+        let mut theirs = nn::Adam::default().eps(1e-5).build(&store, 1e-2).unwrap();
+        let settings = AdamSettings { epsilon: 1e-5, ..AdamSettings::default() };
+        let mut ours = Adam::new(&params, ids.clone(), settings);
+        for _ in 0..30 {
+            let gradients = params.gradients(&loss(params.tensor(ids[0]), params.tensor(ids[1])), &ids);
+            ours.step(&mut params, &gradients, 1e-2, Some(0.5));
+            let loss = loss(&copies[0], &copies[1]);
+            theirs.backward_step_clip_norm(&loss, 0.5);
+        }
+        for (id, copy) in ids.iter().zip(&copies) {
+            let apart = (params.tensor(*id) - copy).abs().max().double_value(&[]);
+            assert!(apart < 1e-5, "{apart}");
+        }
+    }
+
+    #[test]
+    fn a_parameter_without_a_gradient_stays_and_moments_are_kept_apart() {
+        let mut params = params(4);
+        let ids: Vec<ParamId> = params.ids().collect();
+        let before = params.values().to_vec();
+        let mut adam = Adam::new(&params, ids.clone(), AdamSettings::default());
+        let gradients = params.gradients(&params.tensor(ids[0]).sum(Kind::Float), &ids);
+        assert!(gradients[1].is_none());
+        assert_eq!(adam.step(&mut params, &gradients, 0.1, None), 2.0, "the norm of four ones");
+        assert!(
+            params.values()[..4]
+                .iter()
+                .zip(&before)
+                .all(|(after, before)| (before - after - 0.1).abs() < 1e-5)
+        );
+        assert_eq!(params.values()[4..], before[4..]);
+    }
+
+    #[test]
+    fn an_optimizer_goes_on_from_a_checkpoint_as_if_it_had_not_stopped() {
+        let run = |stop: bool| {
+            let mut params = params(40);
+            let ids: Vec<ParamId> = params.ids().collect();
+            let mut adam = Adam::new(&params, ids.clone(), AdamSettings::default());
+            for step in 0..6 {
+                let gradients = params.gradients(&loss(params.tensor(ids[0]), params.tensor(ids[1])), &ids);
+                adam.step(&mut params, &gradients, 1e-2, None);
+                if stop && step == 2 {
+                    let mut arrays = Arrays::new();
+                    adam.save("adam", &mut arrays);
+                    let steps = adam.steps();
+                    adam = Adam::new(&params, ids.clone(), AdamSettings::default());
+                    adam.restore("adam", steps, &mut arrays).unwrap();
+                }
+            }
+            params.values().to_vec()
+        };
+        assert_eq!(run(true), run(false));
+    }
+}

@@ -80,12 +80,12 @@ pub fn train(
     let speed = Speed::from(learner.steps_done());
     while !learner.finished() {
         while !learner.rollout_full() {
-            save_if_due(ctx, &learner, &scores, &log)?;
             learner.step()?.iter().for_each(|episode| scores.push(episode.score));
             let (done, total) = (learner.steps_done(), learner.total_steps());
             ctx.progress(done, total, "steps", || {
                 format!("score {:.0}, {:.0} steps/s", scores.mean(10), speed.at(done))
             });
+            save_if_due(ctx, &learner, &scores, &log)?;
         }
         if !learner.updating() {
             learner.begin_update();
@@ -114,3 +114,7 @@ fn save_if_due(
     }
     ctx.stop_if_cancelled()
 }
+
+#[cfg(test)]
+#[path = "ppo_tests.rs"]
+mod tests;

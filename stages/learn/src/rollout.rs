@@ -294,3 +294,7 @@ fn record_acting(rollout: &mut Rollout, t: usize, acted: &Acted) {
     rollout.log_probs[first..][..count].copy_from_slice(&acted.log_probs);
     rollout.values[first..][..count].copy_from_slice(&acted.values);
 }
+
+#[cfg(test)]
+#[path = "rollout_tests.rs"]
+mod tests;

@@ -95,3 +95,30 @@ fn squares(values: &[f32]) -> f64 {
     }
     total
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_widest_vectors_give_the_same_bits_as_none() {
+        let numbers = |factor: f32| -> Vec<f32> { (0..1003).map(|at| (at as f32 * factor).sin()).collect() };
+        let squares: Vec<f32> = numbers(0.3).iter().map(|v| v * v).collect();
+        let with = Step { scale: 0.7, beta1: 0.9, beta2: 0.999, rate: 3e-3, root: 1.7, epsilon: 1e-5 };
+        let run = |kernel: fn(&mut [f32], &mut [f32], &mut [f32], &[f32], Step)| {
+            let (mut value, mut m, mut v) = (numbers(0.1), numbers(0.2), squares.clone());
+            kernel(&mut value, &mut m, &mut v, &numbers(0.4), with);
+            (value, m, v)
+        };
+        assert_eq!(run(step), run(plain));
+        assert_eq!(sum_of_squares(&numbers(0.1)).to_bits(), super::squares(&numbers(0.1)).to_bits());
+    }
+
+    #[test]
+    fn the_sum_of_squares_is_the_sum_of_squares() {
+        let values: Vec<f32> = (0..10_001).map(|at| at as f32 / 1000.0).collect();
+        let wanted: f64 = values.iter().map(|&v| f64::from(v).powi(2)).sum();
+        assert!((sum_of_squares(&values) / wanted - 1.0).abs() < 1e-6);
+        assert_eq!(sum_of_squares(&[]), 0.0);
+    }
+}

@@ -59,3 +59,36 @@ fn widen_plain(bytes: &[u8], numbers: &mut [f32]) {
         *number = f32::from(*byte);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fast::memory;
+    use tch::{Kind, Tensor};
+
+    #[test]
+    fn the_convolution_over_blocks_equals_the_one_over_pixels() {
+        crate::fast::prepare();
+        let (channels, side) = (2_usize, 36_usize);
+        let bytes: Vec<u8> = (0..channels * side * side).map(|at| (at * at % 251) as u8).collect();
+        let kernel: Vec<f32> = (0..3 * channels * 64).map(|at| (at as f32 * 0.37).sin()).collect();
+        let kernel = Tensor::from_slice(&kernel).view([3, channels as i64, 8, 8]);
+        let plain = Tensor::from_slice(&bytes).view([1, channels as i64, side as i64, side as i64]);
+        let plain = (plain.to_kind(Kind::Float) / 255.0).conv2d(&kernel, None::<Tensor>, 4, 0, 1, 1);
+        let mut blocked = vec![0; bytes.len()];
+        for (frame, blocked) in bytes.chunks(side * side).zip(blocked.chunks_mut(side * side)) {
+            block_frame(frame, (side, side), blocked);
+        }
+        let mut numbers = vec![0.0; blocked.len()];
+        widen(&blocked, &mut numbers);
+        let input = Tensor::from_slice(&numbers).view([1, 16 * channels as i64, 9, 9]);
+        let found = input.conv2d(&block_kernel(&kernel), None::<Tensor>, 1, 0, 1, 1);
+        assert_eq!(found.size(), plain.size());
+        let worst = memory::values(&found.contiguous())
+            .iter()
+            .zip(memory::values(&plain.contiguous()))
+            .map(|(a, b)| (a - b).abs())
+            .fold(0.0, f32::max);
+        assert!(worst < 1e-5, "{worst}");
+    }
+}

@@ -238,3 +238,6 @@ impl Head {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;
