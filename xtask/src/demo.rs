@@ -19,7 +19,19 @@ pub fn run(root: &Path, extra: &[String]) -> Result<(), Error> {
     let mut pipeline = Command::new(program);
     pipeline.current_dir(root).args(["run", "pipelines/thesis.yaml", "--profile", "smoke"]).args(extra);
     process::run(&mut pipeline)?;
-    show(&root.join("results/thesis-smoke"))
+    show(&root.join(results_folder(extra)))
+}
+
+/// Where the run put its tables: the default of this pipeline and profile, or what `--out` says.
+fn results_folder(extra: &[String]) -> PathBuf {
+    let mut args = extra.iter();
+    let named = args.find_map(|arg| match arg.strip_prefix("--out") {
+        Some("") => Some(None),
+        Some(rest) => rest.strip_prefix('=').map(Some),
+        None => None,
+    });
+    let folder = named.and_then(|value| value.or_else(|| args.next().map(String::as_str)));
+    PathBuf::from(folder.unwrap_or("results/thesis-smoke"))
 }
 
 /// As cargo, run in `root`, sees it.
@@ -37,6 +49,16 @@ fn show(results: &Path) -> Result<(), Error> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_results_are_where_the_run_was_told_to_put_them() {
+        let folder =
+            |args: &[&str]| results_folder(&args.iter().map(ToString::to_string).collect::<Vec<_>>());
+        assert_eq!(folder(&["--jobs", "2"]), Path::new("results/thesis-smoke"));
+        assert_eq!(folder(&["--out", "a", "--jobs", "2"]), Path::new("a"));
+        assert_eq!(folder(&["--out=b"]), Path::new("b"));
+        assert_eq!(folder(&["--outer"]), Path::new("results/thesis-smoke"));
+    }
 
     #[test]
     fn the_target_folder_is_cargos() {
