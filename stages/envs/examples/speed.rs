@@ -12,7 +12,7 @@ use dril_envs::car_racing::car::Controls;
 use dril_envs::car_racing::render::{Output, Renderer};
 use dril_envs::car_racing::simulation::{Rules, Simulation};
 use dril_envs::preprocess::{self, FULL, SIDE};
-use dril_envs::{CarRacingConfig, CarRacingVersion, EnvConfig, Frame, FrameStack};
+use dril_envs::{CarRacingConfig, CarRacingVersion, EnvConfig, EnvError, Frame, FrameStack, VecEnv};
 
 /// Counts allocations, so that the table can say how many a step takes.
 struct Counting;
@@ -80,62 +80,106 @@ fn controls(step: u64) -> Controls {
     Controls { steer: 0.3 * phase.sin(), gas: if step % 100 < 60 { 0.4 } else { 0.0 }, brake: 0.0 }
 }
 
-fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let seconds = std::env::args().nth(1).and_then(|s| s.parse().ok()).unwrap_or(2.0);
-    let track = |seed| CarRacing::track(seed).map(|(track, _)| track);
+fn driven(seed: u64, steps: u64) -> Result<Simulation, EnvError> {
+    let mut simulation = Simulation::new(CarRacing::track(seed)?.0, RULES);
+    for step in 0..steps {
+        simulation.step(&controls(step));
+    }
+    Ok(simulation)
+}
+
+fn physics(seconds: f64) -> Result<(), EnvError> {
     let (mut seed, mut step) = (0, 0);
-    let mut simulation = Simulation::new(track(0)?, RULES);
+    let mut simulation = driven(0, 0)?;
     measure("physics and tiles", seconds, || {
         step += 1;
         if step % 500 == 0 || simulation.outcome().ended() {
             seed += 1;
-            if let Ok(track) = track(seed) {
-                simulation = Simulation::new(track, RULES);
+            if let Ok(next) = driven(seed, 0) {
+                simulation = next;
             }
         }
         black_box(simulation.step(&controls(step)));
     });
-    let mut simulation = Simulation::new(track(1)?, RULES);
-    for step in 0..120 {
-        simulation.step(&controls(step));
+    let mut simulation = driven(1, 0)?;
+    measure("  of which tyres and bodies", seconds, || {
+        simulation.car_mut().control(&controls(step));
+        simulation.car_mut().step(black_box([true; 4]));
+    });
+    Ok(())
+}
+
+fn pictures(seconds: f64) -> Result<(), EnvError> {
+    let simulation = driven(1, 120)?;
+    let mut full = [0; FULL * FULL];
+    for version in [CarRacingVersion::V3, CarRacingVersion::V0] {
+        let mut renderer = Renderer::new(version, Output::Grey, [FULL; 2]);
+        measure(&format!("drawing {version:?}, 96 x 96 grey"), seconds, || {
+            renderer.draw(black_box(simulation.track()), &simulation.scene());
+        });
+        full.copy_from_slice(renderer.pixels());
     }
-    let mut renderer = Renderer::new(CarRacingVersion::V3, Output::Grey, [FULL; 2]);
-    measure("drawing V3, 96 x 96 grey", seconds, || {
-        renderer.draw(black_box(simulation.track()), &simulation.scene());
-    });
-    let mut renderer = Renderer::new(CarRacingVersion::V0, Output::Grey, [FULL; 2]);
-    measure("drawing V0, 96 x 96 grey", seconds, || {
-        renderer.draw(black_box(simulation.track()), &simulation.scene());
-    });
-    let full: [u8; FULL * FULL] = renderer.pixels().try_into()?;
     let mut small = [0; SIDE * SIDE];
     measure("resize to 84 x 84", seconds, || preprocess::shrink(black_box(&full), &mut small));
     let mut stack = FrameStack::new(SIDE * SIDE, 4);
     measure("stack of 4", seconds, || stack.push(black_box(&small)));
-    for version in [CarRacingVersion::V0, CarRacingVersion::V3] {
-        let mut env = EnvConfig::CarRacing(CarRacingConfig { version, ..Default::default() }).build()?;
-        env.reset(0)?;
-        let (mut seed, mut step) = (0, 0u64);
-        measure(&format!("whole env {version:?}, 84 x 84 x 4"), seconds, || {
-            step += 1;
-            let action = [(0.3 * (step as f64 * 0.05).sin()) as f32, if step % 100 < 60 { 0.4 } else { 0.0 }];
-            let ended = env.step(&action).is_ok_and(|step| step.outcome.ended());
-            if let Frame::Image(pixels) = env.frame() {
-                stack.push(pixels);
-            }
-            if ended {
-                seed += 1;
-                black_box(env.reset(seed).is_ok());
-            }
-        });
-        measure(&format!("reset {version:?}"), seconds, || {
+    Ok(())
+}
+
+fn whole(version: CarRacingVersion, seconds: f64) -> Result<(), EnvError> {
+    let mut env = EnvConfig::CarRacing(CarRacingConfig { version, ..Default::default() }).build()?;
+    env.reset(0)?;
+    let mut stack = FrameStack::new(SIDE * SIDE, 4);
+    let (mut seed, mut step) = (0, 0u64);
+    measure(&format!("whole env {version:?}, 84 x 84 x 4"), seconds, || {
+        step += 1;
+        let controls = controls(step);
+        let ended = env.step(&[controls.steer as f32, controls.gas as f32]);
+        if let Frame::Image(pixels) = env.frame() {
+            stack.push(pixels);
+        }
+        if ended.is_ok_and(|step| step.outcome.ended()) {
             seed += 1;
             black_box(env.reset(seed).is_ok());
-        });
+        }
+    });
+    measure(&format!("reset {version:?}"), seconds, || {
+        seed += 1;
+        black_box(env.reset(seed).is_ok());
+    });
+    Ok(())
+}
+
+/// Steps per second of wall time, 16 environments together.
+fn vectorised(threads: usize, seconds: f64) -> Result<(), EnvError> {
+    const ENVS: usize = 16;
+    let mut envs = VecEnv::new(&EnvConfig::default(), ENVS, threads)?;
+    let mut seed = ENVS as u64;
+    envs.reset_all(|env| env as u64)?;
+    let (start, mut steps) = (std::time::Instant::now(), 0u64);
+    while start.elapsed().as_secs_f64() < seconds {
+        let actions: Vec<f32> = (0..ENVS).flat_map(|_| [0.1, controls(steps).gas as f32]).collect();
+        envs.step(&actions, |_| {
+            seed += 1;
+            seed
+        })?;
+        steps += 1;
     }
+    let rate = (steps * ENVS as u64) as f64 / start.elapsed().as_secs_f64();
+    println!("{ENVS} envs on {threads} threads: {rate:.0} steps per second of wall time");
+    Ok(())
+}
+
+fn main() -> Result<(), EnvError> {
+    let seconds = std::env::args().nth(1).and_then(|s| s.parse().ok()).unwrap_or(2.0);
+    physics(seconds)?;
+    pictures(seconds)?;
+    whole(CarRacingVersion::V0, seconds)?;
+    whole(CarRacingVersion::V3, seconds)?;
+    let mut seed = 0;
     measure("track only", seconds, || {
         seed += 1;
         black_box(CarRacing::track(seed).is_ok());
     });
-    Ok(())
+    [1, 2].into_iter().try_for_each(|threads| vectorised(threads, seconds))
 }

@@ -18,8 +18,8 @@ const MAGIC: [u8; 8] = *b"DRILDM01";
 const MOST_HEADER: u32 = 1 << 20;
 /// Most episodes and steps per episode that are believed.
 const MOST_STEPS: u32 = 1 << 26;
-/// zstd level: higher ones take many times as long for a tenth less.
-const LEVEL: i32 = 9;
+/// zstd level: 510 bytes a frame in 80 us; level 9 takes four times as long for 6 % less.
+const LEVEL: i32 = 6;
 /// Window of the compressor, as a power of two: reaches back over a whole episode.
 const WINDOW_LOG: u32 = 23;
 
@@ -162,7 +162,6 @@ impl Demonstrations {
         file.write_all(&header)?;
         let mut body = zstd::Encoder::new(file, LEVEL)?;
         body.include_checksum(true)?;
-        body.long_distance_matching(true)?;
         body.window_log(WINDOW_LOG)?;
         for episode in &self.episodes {
             let steps = count(episode.steps(self.header.action_dims))?;
@@ -308,3 +307,7 @@ fn outcome_code(outcome: Outcome) -> u8 {
 fn outcome_of(code: u8) -> Option<Outcome> {
     [Outcome::Running, Outcome::Finished, Outcome::Failed, Outcome::TimeLimit].get(usize::from(code)).copied()
 }
+
+#[cfg(test)]
+#[path = "demos_tests.rs"]
+mod tests;

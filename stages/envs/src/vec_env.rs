@@ -243,3 +243,7 @@ impl Slot {
         Ok(())
     }
 }
+
+#[cfg(test)]
+#[path = "vec_env_tests.rs"]
+mod tests;

@@ -63,12 +63,9 @@ impl Camera {
         [along(0), along(1)]
     }
 
-    /// The world's point for a point of the picture.
-    pub fn world(&self, [column, row]: Dot) -> [f64; 2] {
-        let [[a, b], [c, d]] = self.matrix;
-        let (px, py) = (column - self.origin[0], row - self.origin[1]);
-        let determinant = a * d - b * c;
-        [self.car[0] + (d * px - b * py) / determinant, self.car[1] + (a * py - c * px) / determinant]
+    /// The world's point in the middle of the window, and the distance from it to the window's corners.
+    pub fn view(&self) -> ([f64; 2], f64) {
+        self.middle
     }
 
     /// False only where nothing within `reach` of the point can be in the window.

@@ -1,50 +1,47 @@
-//! The playfield with its lighter squares, computed per pixel in fixed point.
+//! The playfield with its lighter squares.
 
-use super::camera::Camera;
-use super::palette::{self, Inks};
-use super::raster::Canvas;
+use super::paint::Painter;
+use super::palette;
 use super::track::PLAYFIELD;
 
 /// Squares of the pattern along half the playfield; every other one in both directions is lighter.
 const HALF_SQUARES: i32 = 20;
 /// Side of a square, world units.
 const SQUARE: f64 = PLAYFIELD / HALF_SQUARES as f64;
-/// Fractional bits of a position in squares; the rest holds +-128 squares, more than the widest view.
-const BITS: u32 = 24;
-/// The playfield's edges in fixed point.
-const EDGE: i32 = HALF_SQUARES << BITS;
 
-/// Fills the rows above `floor` with black, grass and squares.
-pub fn draw(canvas: &mut Canvas, camera: &Camera, inks: &Inks, floor: usize) {
-    let width = canvas.width();
-    let [black, grass, patch] =
-        [palette::BLACK, palette::GRASS, palette::PATCH].map(|colour| inks.of(colour));
-    let origin = fixed(camera.world([0.5, 0.5]));
-    let across = fixed_difference(camera, [1.5, 0.5]);
-    let down = fixed_difference(camera, [0.5, 1.5]);
-    for row in 0..floor {
-        let shift = canvas.shift(row);
-        let at = [0, 1].map(|axis| {
-            let shifted = (f64::from(across[axis]) * shift) as i32;
-            origin[axis].wrapping_add(down[axis].wrapping_mul(row as i32)).wrapping_add(shifted)
-        });
-        let pixels = &mut canvas.row_mut(row)[..width];
-        for (column, pixel) in pixels.iter_mut().enumerate() {
-            let [u, v] = [0, 1].map(|axis| at[axis].wrapping_add(across[axis].wrapping_mul(column as i32)));
-            let inside = (u.wrapping_add(EDGE) as u32) < 2 * EDGE as u32
-                && (v.wrapping_add(EDGE) as u32) < 2 * EDGE as u32;
-            let light = ((u | v) >> BITS) & 1 == 0;
-            *pixel = if inside { if light { patch } else { grass } } else { black };
+impl Painter<'_> {
+    /// Black, the playfield, and its lighter squares.
+    pub fn grass(&mut self) {
+        let (middle, radius) = self.camera.view();
+        let inside = middle.iter().all(|at| at.abs() + radius < PLAYFIELD);
+        let ground = self.inks.of(if inside { palette::GRASS } else { palette::BLACK });
+        for row in 0..self.floor {
+            self.canvas.row_mut(row).fill(ground);
         }
+        if !inside {
+            self.square([-PLAYFIELD; 2], 2.0 * PLAYFIELD, palette::GRASS);
+        }
+        let [columns, rows] = middle.map(|at| light_squares(at - radius, at + radius));
+        for column in columns {
+            for row in rows.clone() {
+                let corner = [column, row].map(|index| f64::from(2 * index) * SQUARE);
+                if self.camera.may_see(corner, 2.0 * SQUARE) {
+                    self.square(corner, SQUARE, palette::PATCH);
+                }
+            }
+        }
+    }
+
+    /// Fills the square with its lowest corner and side, world units.
+    fn square(&mut self, [x, y]: [f64; 2], side: f64, colour: palette::Colour) {
+        let corners = [[x, y], [x + side, y], [x + side, y + side], [x, y + side]];
+        self.fill(&corners.map(|corner| self.camera.dot(corner)), colour);
     }
 }
 
-fn fixed(point: [f64; 2]) -> [i32; 2] {
-    point.map(|v| (v / SQUARE * f64::from(1 << BITS)) as i32)
-}
-
-/// The step from the first pixel to a neighbour.
-fn fixed_difference(camera: &Camera, neighbour: [f64; 2]) -> [i32; 2] {
-    let (from, to) = (camera.world([0.5, 0.5]), camera.world(neighbour));
-    fixed([to[0] - from[0], to[1] - from[1]])
+/// Half the numbers of the lighter squares that lie between two coordinates.
+fn light_squares(from: f64, to: f64) -> std::ops::Range<i32> {
+    let (first, end) = (-HALF_SQUARES / 2, HALF_SQUARES / 2);
+    let index = |at: f64| (at / (2.0 * SQUARE)).floor().clamp(-1e3, 1e3) as i32;
+    index(from).max(first)..(index(to) + 1).min(end)
 }

@@ -201,3 +201,6 @@ impl Env for CarRacing {
         Ok(Picture { width, height, rgb: renderer.pixels().to_vec() })
     }
 }
+
+#[cfg(test)]
+mod tests;

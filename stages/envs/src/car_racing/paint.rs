@@ -67,7 +67,8 @@ impl Painter<'_> {
         self.fill(&dots[..outline.len()], colour);
     }
 
-    fn fill(&mut self, dots: &[[f64; 2]], colour: Colour) {
+    /// Fills a polygon of the canvas.
+    pub(super) fn fill(&mut self, dots: &[[f64; 2]], colour: Colour) {
         self.canvas.fill(dots, self.inks.of(colour), self.floor);
     }
 }

@@ -5,13 +5,13 @@
 //! the window's 87.
 
 use super::camera::{Camera, WINDOW};
+use super::indicators;
 use super::paint::Painter;
 use super::palette::{self, Inks};
 use super::raster::{Canvas, Sampling};
 use super::scene::Scene;
 use super::text::Text;
 use super::track::Track;
-use super::{grass, indicators};
 use crate::CarRacingVersion;
 
 /// Rows of the bar in eighths of the picture.
@@ -45,6 +45,7 @@ pub struct Renderer {
     colours: [[u8; 3]; palette::COUNT],
     text: Text,
     pixels: Vec<u8>,
+    sums: Vec<u16>,
 }
 
 impl Renderer {
@@ -80,6 +81,7 @@ impl Renderer {
             colours,
             text: Text::new(version, width * samples, height * samples),
             pixels: vec![0; width * height * channels],
+            sums: vec![0; width * samples],
         }
     }
 
@@ -96,8 +98,8 @@ impl Renderer {
             CarRacingVersion::V3 => Camera::following_hull(scene, size),
         };
         let floor = size[1] - size[1] / BAR;
-        grass::draw(&mut self.canvas, &camera, &self.inks, floor);
         let mut painter = Painter { canvas: &mut self.canvas, camera, inks: &self.inks, floor };
+        painter.grass();
         painter.road(track, scene);
         painter.car(scene);
         indicators::draw(&mut self.canvas, scene, &self.inks, self.version);
@@ -116,7 +118,7 @@ impl Renderer {
     fn develop(&mut self) {
         let loss = if self.version == CarRacingVersion::V3 { SHRINK_LOSS } else { 0 };
         match (self.output, self.samples) {
-            (Output::Grey, SAMPLES) => shrink_grey(&self.canvas, loss, &mut self.pixels),
+            (Output::Grey, SAMPLES) => shrink_grey(&self.canvas, loss, &mut self.sums, &mut self.pixels),
             (Output::Grey, samples) => average(&self.canvas, samples, loss, |ink| [ink], &mut self.pixels),
             (Output::Rgb, samples) => {
                 let colours = &self.colours;
@@ -152,21 +154,19 @@ fn average<const N: usize>(
     }
 }
 
-/// [`average`] for grey levels and [`SAMPLES`], in a form that the compiler turns into vector code.
-fn shrink_grey(canvas: &Canvas, loss: u8, to: &mut [u8]) {
+/// [`average`] for grey levels and [`SAMPLES`], in steps that the compiler turns into vector code.
+fn shrink_grey(canvas: &Canvas, loss: u8, sums: &mut [u16], to: &mut [u8]) {
     let width = canvas.width();
-    let columns = width / SAMPLES;
-    for (row, line) in to.chunks_exact_mut(columns).enumerate() {
-        let from = &canvas.pixels()[row * SAMPLES * width..(row + 1) * SAMPLES * width];
-        let (top, bottom) = from.split_at(2 * width);
+    let strips = canvas.pixels().chunks_exact(SAMPLES * width);
+    for (strip, line) in strips.zip(to.chunks_exact_mut(width / SAMPLES)) {
+        let (top, bottom) = strip.split_at(2 * width);
         let ((a, b), (c, d)) = (top.split_at(width), bottom.split_at(width));
-        let squares = a.as_chunks().0.iter().zip(b.as_chunks().0).zip(c.as_chunks().0).zip(d.as_chunks().0);
-        for (pixel, (((a, b), c), d)) in line.iter_mut().zip(squares) {
-            let a: &[u8; SAMPLES] = a;
-            let (b, c, d): (&[u8; SAMPLES], &[u8; SAMPLES], &[u8; SAMPLES]) = (b, c, d);
-            let sum: u16 = (0..SAMPLES)
-                .map(|i| u16::from(a[i]) + u16::from(b[i]) + u16::from(c[i]) + u16::from(d[i]))
-                .sum();
+        let rows = a.iter().zip(b).zip(c).zip(d);
+        for (sum, (((a, b), c), d)) in sums.iter_mut().zip(rows) {
+            *sum = u16::from(*a) + u16::from(*b) + u16::from(*c) + u16::from(*d);
+        }
+        for (pixel, four) in line.iter_mut().zip(sums.as_chunks::<SAMPLES>().0) {
+            let sum: u16 = four.iter().sum();
             *pixel = ((sum / (SAMPLES * SAMPLES) as u16) as u8).saturating_sub(loss);
         }
     }
@@ -187,7 +187,7 @@ mod tests {
                 }
             }
             let (mut fast, mut plain) = ([0; 16], [0; 16]);
-            shrink_grey(&canvas, 2, &mut fast);
+            shrink_grey(&canvas, 2, &mut [0; 8 * SAMPLES], &mut fast);
             average(&canvas, SAMPLES, 2, |ink| [ink], &mut plain);
             prop_assert_eq!(fast, plain);
         }

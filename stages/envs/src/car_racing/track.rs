@@ -206,7 +206,7 @@ fn kerb(points: &[WayPoint], i: usize) -> Kerb {
     let (from, to) = (side * HALF_WIDTH, side * (HALF_WIDTH + KERB_WIDTH));
     let [inner, outer] = section(&points[i], from, to);
     let [inner_before, outer_before] = section(previous, from, to);
-    Kerb { tile: i, corners: [inner, outer, outer_before, inner_before], white: i % 2 == 0 }
+    Kerb { tile: i, corners: [inner, outer, outer_before, inner_before], white: i.is_multiple_of(2) }
 }
 
 /// Which tiles have a kerb: those at the end of four sharp turns in one direction, and the three tiles before.
@@ -228,4 +228,49 @@ fn kerb_flags(points: &[WayPoint]) -> Vec<bool> {
         }
     }
     flags
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn distance(a: Point, b: Point) -> f64 {
+        (a[0] - b[0]).hypot(a[1] - b[1])
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(32))]
+        #[test]
+        fn a_track_is_a_closed_ring_of_convex_tiles(uniform in prop::collection::vec(0.0..1.0f64, 20 * DRAWS)) {
+            let Some((track, attempts)) = Track::generate(scale_draws(uniform)) else { return Ok(()) };
+            prop_assert!(attempts <= 20);
+            let n = track.tiles.len();
+            prop_assert!((200..400).contains(&n), "{} tiles", n);
+            for (i, tile) in track.tiles.iter().enumerate() {
+                let previous = &track.tiles[before(i, n, 1)];
+                prop_assert!(distance(tile[3], previous[0]) < 1e-9 && distance(tile[2], previous[1]) < 1e-9);
+                prop_assert!((distance(tile[0], tile[1]) - 2.0 * HALF_WIDTH).abs() < 1e-9);
+            }
+            for kerb in &track.kerbs {
+                let [inner, outer, ..] = kerb.corners;
+                prop_assert!((distance(inner, outer) - KERB_WIDTH).abs() < 1e-9);
+                let edge = track.tiles[kerb.tile];
+                prop_assert!(distance(inner, edge[0]).min(distance(inner, edge[1])) < 1e-9);
+            }
+        }
+    }
+
+    #[test]
+    fn draws_that_run_out_make_no_track() {
+        assert_eq!(Track::generate([0.1; DRAWS - 1]), None);
+        assert_eq!(Track::generate(scale_draws(std::iter::empty())), None);
+    }
+
+    #[test]
+    fn draws_are_scaled_to_angle_and_radius_in_turn() {
+        let scaled: Vec<f64> = scale_draws([0.5, 0.5, 0.0, 1.0]).collect();
+        assert!((scaled[0] - PI / 12.0).abs() < 1e-12 && (scaled[1] - 100.0).abs() < 1e-12, "{scaled:?}");
+        assert!(scaled[2] == 0.0 && (scaled[3] - 150.0).abs() < 1e-12, "{scaled:?}");
+    }
 }

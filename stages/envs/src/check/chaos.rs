@@ -1,17 +1,17 @@
-//! How soon a script becomes unpredictable: the simulation against itself, turned by a tenth of a milliradian.
+//! How soon a script becomes unpredictable: the simulation against itself, begun a ten-thousandth otherwise.
 
 use super::motion::{RULES, controls};
 use super::{CheckError, Recordings, Report};
 use crate::car_racing::positions::{BODIES, Velocity, anchor, rotate};
 use crate::car_racing::simulation::Simulation;
 
-/// How far the second car is turned, radians.
+/// By how much the second car is turned (radians), and how fast it moves and turns when it starts.
 const NUDGE: f32 = 1e-4;
 /// How far apart the two may come before the script counts as chaotic, world units.
 const APART: f64 = 0.05;
 
-/// Adds a row per script: the step from which a nudge of the start has grown five hundredfold. A comparison of poses
-/// means little after it. `median` is the middle seed's, `worst` the last.
+/// Adds a row per script: the step from which a nudge of the start has grown five hundredfold, or the script's length.
+/// A comparison of poses means little after it. `median` is the middle seed's, `worst` the last.
 pub fn check(recordings: &Recordings, report: &mut Report) -> Result<(), CheckError> {
     for script in recordings.scripts() {
         let mut steps = Vec::new();
@@ -28,7 +28,7 @@ pub fn check(recordings: &Recordings, report: &mut Report) -> Result<(), CheckEr
             });
             steps.push(apart.unwrap_or(run.actions.rows()) as f64);
         }
-        report.add(&script, "turned by 1e-4 rad: step of 5 cm", &steps, None);
+        report.add(&script, "start off by 1e-4: step of 5 cm", &steps, None);
     }
     Ok(())
 }
@@ -44,5 +44,5 @@ fn nudge(simulation: &mut Simulation) {
         let [dx, dy] = rotate(poses[0].angle, anchor(i - 1));
         (poses[i].x, poses[i].y) = (poses[0].x + dx, poses[0].y + dy);
     }
-    world.place(poses, [Velocity::default(); BODIES]);
+    world.place(poses, [Velocity { linear: [NUDGE; 2], spin: NUDGE }; BODIES]);
 }

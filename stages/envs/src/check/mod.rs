@@ -9,6 +9,7 @@ mod driver;
 mod laps;
 mod motion;
 mod npz;
+mod own_tracks;
 mod pixels;
 mod recording;
 mod report;
@@ -17,6 +18,7 @@ mod watched;
 
 use std::path::{Path, PathBuf};
 
+pub use driver::drive;
 pub use npz::{Array, Npz};
 pub use recording::{Meta, Recordings, Run};
 pub use report::{Report, Row};
@@ -59,6 +61,7 @@ pub fn run(folder: &Path) -> Result<Report, CheckError> {
     let recordings = Recordings::open(folder)?;
     let mut report = Report::default();
     tracks::check(&recordings, &mut report)?;
+    own_tracks::check(&recordings, &mut report)?;
     motion::check(&recordings, &mut report)?;
     contacts::check(&recordings, &mut report)?;
     chaos::check(&recordings, &mut report)?;

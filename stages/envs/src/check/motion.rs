@@ -7,10 +7,9 @@ use crate::car_racing::simulation::{Rules, Simulation};
 
 /// No end but the playfield's: recordings were made with all tiles as the goal.
 pub const RULES: Rules = Rules { lap_share: 1.0, time_limit: usize::MAX };
-/// The script that must be followed closely, and how closely after how many steps, world units.
-const STRAIGHT: (&str, [(usize, f64); 3]) = ("full_gas", [(0, 1e-3), (50, 0.01), (100, 0.05)]);
-/// Moments at which the other scripts are reported.
-const MOMENTS: [usize; 5] = [0, 50, 100, 200, 300];
+/// How closely a script must be followed after how many steps, world units; later moments are reported only.
+const POSES: [(usize, Option<f64>); 5] =
+    [(0, Some(1e-3)), (50, Some(0.01)), (100, Some(0.05)), (200, None), (300, None)];
 /// Most that a run may be ahead or behind in tiles.
 const TILES: f64 = 1.0;
 /// Largest relative error of one step.
@@ -41,21 +40,13 @@ pub fn check(recordings: &Recordings, report: &mut Report) -> Result<(), CheckEr
 }
 
 fn add_rows(script: &str, replays: &[Replay], report: &mut Report) {
-    let close = script == STRAIGHT.0;
-    for (i, moment) in MOMENTS.iter().enumerate() {
-        let errors: Vec<f64> = replays.iter().filter_map(|r| r.distance.get(*moment).copied()).collect();
-        report.add(
-            script,
-            &format!("pose at {moment}, m"),
-            &errors,
-            close.then(|| STRAIGHT.1.get(i).map(|limit| limit.1)).flatten(),
-        );
+    for (moment, limit) in POSES {
+        let errors: Vec<f64> = replays.iter().filter_map(|r| r.distance.get(moment).copied()).collect();
+        report.add(script, &format!("pose at {moment}, m"), &errors, limit);
     }
-    let upto = |from: &[f64], moment: usize| from.iter().take(moment + 1).copied().fold(0.0, f64::max);
-    let tiles: Vec<f64> = replays.iter().map(|r| upto(&r.tiles, 100)).collect();
-    report.add(script, "tiles up to 100", &tiles, Some(TILES));
-    let all: Vec<f64> = replays.iter().map(|r| upto(&r.tiles, usize::MAX - 1)).collect();
-    report.add(script, "tiles up to the end", &all, close.then_some(TILES));
+    let worst = |values: &[f64]| values.iter().copied().fold(0.0, f64::max);
+    let tiles: Vec<f64> = replays.iter().map(|r| worst(&r.tiles)).collect();
+    report.add(script, "tiles visited", &tiles, Some(TILES));
     let rewards: Vec<f64> = replays.iter().map(|r| r.reward).collect();
     report.add(script, "reward while tiles agree", &rewards, Some(1e-9));
 }

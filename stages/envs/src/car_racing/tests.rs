@@ -1,0 +1,192 @@
+//! The game's rules: rewards, ends, faults, snapshots and own tracks.
+
+use super::*;
+use crate::check::drive;
+use crate::{CarRacingVersion, EnvConfig, Outcome};
+use proptest::prelude::*;
+use track::PLAYFIELD;
+
+const ALL_TILES: Rules = Rules { lap_share: 1.0, time_limit: 1000 };
+
+fn simulation(seed: u64, rules: Rules) -> Simulation {
+    Simulation::new(CarRacing::track(seed).unwrap().0, rules)
+}
+
+fn env(time_limit: u32) -> CarRacing {
+    CarRacing::new(CarRacingConfig { time_limit, ..CarRacingConfig::default() })
+}
+
+#[test]
+fn the_reset_visits_two_tiles_which_the_first_step_pays() {
+    for seed in 0..40 {
+        let mut simulation = simulation(seed, ALL_TILES);
+        assert_eq!(simulation.tiles().visits(), 2, "seed {seed}");
+        let step = simulation.step(&Controls::default());
+        let wanted = 1000.0 / simulation.tiles().len() as f64 * simulation.tiles().visits() as f64 - 0.1;
+        assert!((step.reward - wanted).abs() < 1e-9, "seed {seed}: {} {wanted}", step.reward);
+    }
+}
+
+#[test]
+fn a_tile_is_paid_one_step_after_the_wheel_reached_it() {
+    let mut simulation = simulation(3, ALL_TILES);
+    let gas = Controls { gas: 1.0, ..Controls::default() };
+    let mut checked = 0;
+    for _ in 0..60 {
+        // What the tile rules see of the car as it stands now is what the next step pays.
+        let mut tiles = simulation.tiles().clone();
+        let world = simulation.car().world();
+        let new = tiles.touch(world.hull(), world.wheels()).new_visits;
+        let first = simulation.steps() == 0;
+        let reward = simulation.step(&gas).reward;
+        let wanted = 1000.0 / simulation.tiles().len() as f64 * new as f64 - 0.1;
+        if !first {
+            assert!((reward - wanted).abs() < 1e-9, "{reward} {wanted}");
+            checked += new;
+        }
+    }
+    assert!(checked > 3, "only {checked} tiles were reached");
+}
+
+#[test]
+fn leaving_the_playfield_pays_minus_100_instead_of_the_step() {
+    let mut simulation = simulation(0, Rules { time_limit: 5000, ..ALL_TILES });
+    let mut last = None;
+    while simulation.outcome() == Outcome::Running {
+        last = Some(simulation.step(&Controls { gas: 0.3, ..Controls::default() }));
+    }
+    assert_eq!(last.unwrap(), Step { reward: -100.0, outcome: Outcome::Failed });
+    let [x, y] = simulation.car().hull().position;
+    assert!(x.abs().max(y.abs()) > PLAYFIELD);
+}
+
+#[test]
+fn the_time_limit_ends_an_episode_without_a_terminal_state() {
+    let mut env = env(3);
+    env.reset(1).unwrap();
+    let outcomes: Vec<_> = (0..3).map(|_| env.step(&[0.0, 0.0]).unwrap().outcome).collect();
+    assert_eq!(outcomes, [Outcome::Running, Outcome::Running, Outcome::TimeLimit]);
+    assert!(Outcome::TimeLimit.ended() && !Outcome::TimeLimit.terminal());
+}
+
+#[test]
+fn a_lap_needs_all_tiles_or_the_given_share_and_the_start_line() {
+    let lap = |lap_share| {
+        let mut simulation = simulation(5, Rules { lap_share, time_limit: 3000 });
+        let mut score = 0.0;
+        while simulation.outcome() == Outcome::Running {
+            score += simulation.step(&drive(&simulation)).reward;
+        }
+        assert_eq!(simulation.outcome(), Outcome::Finished);
+        let (n, visits) = (simulation.tiles().len(), simulation.tiles().visits());
+        let wanted = 1000.0 * visits as f64 / n as f64 - 0.1 * simulation.steps() as f64;
+        assert!((score - wanted).abs() < 1e-6, "{score} {wanted}");
+        (n, visits, simulation.steps())
+    };
+    let (n, all, steps) = lap(1.0);
+    assert_eq!(all, n);
+    let (_, visits, earlier) = lap(0.5);
+    assert!(visits as f64 > 0.5 * n as f64 && earlier <= steps, "{visits} of {n} after {earlier}");
+}
+
+#[test]
+fn nan_is_refused_with_the_dimension_and_other_numbers_are_clamped() {
+    let mut env = env(10);
+    assert_eq!(env.step(&[0.0, 0.0]), Err(EnvError::NotStarted));
+    env.reset(0).unwrap();
+    assert_eq!(env.step(&[0.0, f32::NAN]), Err(EnvError::ActionNan { dimension: 1 }));
+    assert_eq!(env.step(&[0.0]), Err(EnvError::ActionLength { seen: 1, expected: 2 }));
+    assert_eq!(env.simulation().unwrap().steps(), 0);
+    env.step(&[f32::INFINITY, -7.0]).unwrap();
+    assert_eq!(env.snapshot().actions, [1.0, -1.0]);
+}
+
+#[test]
+fn stepping_after_the_end_is_an_error() {
+    let mut env = env(1);
+    env.reset(0).unwrap();
+    env.step(&[0.0, 0.0]).unwrap();
+    assert_eq!(env.step(&[0.0, 0.0]), Err(EnvError::Over { length: 1 }));
+    env.reset(0).unwrap();
+    assert!(env.step(&[0.0, 0.0]).is_ok());
+}
+
+#[test]
+fn one_seed_gives_one_episode_and_another_seed_another() {
+    let frames = |seed| {
+        let mut env = env(10);
+        // What came before does not matter.
+        env.reset(seed ^ 5).unwrap();
+        env.step(&[1.0, 1.0]).unwrap();
+        env.reset(seed).unwrap();
+        env.step(&[0.5, 1.0]).unwrap();
+        env.frame().to_owned()
+    };
+    assert_eq!(frames(8), frames(8));
+    assert_ne!(frames(8), frames(9));
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(6))]
+    #[test]
+    fn a_restored_episode_goes_on_bit_by_bit(
+        seed: u64,
+        before in prop::collection::vec(prop::array::uniform2(-1.5f32..1.5), 0..30),
+        after in prop::collection::vec(prop::array::uniform2(-1.0f32..1.0), 1..10),
+    ) {
+        let mut one = env(1000);
+        one.reset(seed).unwrap();
+        for action in &before {
+            one.step(action).unwrap();
+        }
+        let mut other = env(1000);
+        other.restore(&one.snapshot()).unwrap();
+        prop_assert_eq!(one.frame(), other.frame());
+        for action in &after {
+            prop_assert_eq!(one.step(action).unwrap(), other.step(action).unwrap());
+            prop_assert_eq!(one.frame(), other.frame());
+        }
+    }
+}
+
+#[test]
+fn a_snapshot_that_cannot_be_is_refused() {
+    let mut env = env(2);
+    let snapshot = EnvSnapshot { seed: Some(0), actions: vec![0.0; 6] };
+    let error = env.restore(&snapshot).unwrap_err().to_string();
+    assert!(error.contains("3 actions, but the episode ends after 2"), "{error}");
+    let error = env.restore(&EnvSnapshot { seed: Some(0), actions: vec![0.0; 3] }).unwrap_err().to_string();
+    assert!(error.contains("1 values, expected 2"), "{error}");
+    let error = env.restore(&EnvSnapshot { seed: Some(0), actions: vec![f32::NAN, 0.0] }).unwrap_err();
+    assert!(error.to_string().contains("NaN"), "{error}");
+    env.restore(&EnvSnapshot::default()).unwrap();
+    assert_eq!(env.step(&[0.0, 0.0]), Err(EnvError::NotStarted));
+}
+
+#[test]
+fn pictures_have_the_size_asked_for_or_are_refused() {
+    let mut env = EnvConfig::default().build().unwrap();
+    assert_eq!(env.render(10, 10).unwrap_err(), EnvError::NotStarted);
+    env.reset(0).unwrap();
+    let picture = env.render(40, 30).unwrap();
+    assert_eq!((picture.width, picture.height, picture.rgb.len()), (40, 30, 40 * 30 * 3));
+    assert!(picture.to_png().unwrap().starts_with(b"\x89PNG"));
+    assert!(env.render(0, 10).is_err() && env.render(10, 100_000).is_err());
+}
+
+#[test]
+fn both_versions_show_grass_road_and_car_at_their_places() {
+    for version in [CarRacingVersion::V0, CarRacingVersion::V3] {
+        let mut env = CarRacing::new(CarRacingConfig { version, ..CarRacingConfig::default() });
+        env.reset(4).unwrap();
+        for _ in 0..60 {
+            env.step(&[0.0, 0.05]).unwrap();
+        }
+        let Frame::Image(pixels) = env.frame() else { unreachable!() };
+        let around = |row: usize, column: usize| pixels[row * SIDE + column];
+        assert!((95..=110).contains(&around(20, 42)), "{version:?}: road ahead is {}", around(20, 42));
+        assert!((150..=180).contains(&around(40, 3)), "{version:?}: grass is {}", around(40, 3));
+        assert!(around(63, 42) < 75, "{version:?}: the car is {}", around(63, 42));
+        assert_eq!(around(75, 80), 0, "{version:?}: the bar");
+    }
+}
