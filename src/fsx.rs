@@ -10,7 +10,7 @@ use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
-use fault::point;
+use fault::step;
 pub use lock::Lock;
 
 /// What was tried on which path, and the system's answer.
@@ -122,7 +122,7 @@ pub fn open(path: &Path) -> Result<File> {
 /// # Errors
 /// It cannot be opened.
 pub fn open_append(path: &Path) -> Result<File> {
-    point();
+    step("append", path);
     OpenOptions::new().append(true).create(true).open(path).map_err(FsError::at("open", path))
 }
 
@@ -139,7 +139,7 @@ pub fn append(path: &Path, bytes: &[u8]) -> Result<()> {
 /// # Errors
 /// It is there, or cannot be made.
 pub fn create_dir(path: &Path) -> Result<()> {
-    point();
+    step("make", path);
     std::fs::create_dir(path).map_err(FsError::at("make the folder", path))
 }
 
@@ -148,7 +148,7 @@ pub fn create_dir(path: &Path) -> Result<()> {
 /// # Errors
 /// It cannot be made.
 pub fn create_dir_all(path: &Path) -> Result<()> {
-    point();
+    step("make", path);
     std::fs::create_dir_all(path).map_err(FsError::at("make the folder", path))
 }
 
@@ -157,7 +157,7 @@ pub fn create_dir_all(path: &Path) -> Result<()> {
 /// # Errors
 /// It is there and cannot be removed.
 pub fn remove_file(path: &Path) -> Result<bool> {
-    point();
+    step("remove", path);
     Ok(if_there("remove", path, std::fs::remove_file(path))?.is_some())
 }
 
@@ -166,7 +166,7 @@ pub fn remove_file(path: &Path) -> Result<bool> {
 /// # Errors
 /// It is there and cannot be removed.
 pub fn remove_dir_all(path: &Path) -> Result<()> {
-    point();
+    step("remove", path);
     if_there("remove the folder", path, std::fs::remove_dir_all(path)).map(drop)
 }
 
@@ -189,7 +189,7 @@ pub fn list(path: &Path) -> Result<Vec<PathBuf>> {
 /// # Errors
 /// It cannot be moved.
 pub fn rename(from: &Path, to: &Path) -> Result<()> {
-    point();
+    step("rename", to);
     std::fs::rename(from, to).map_err(FsError::at("move a file to", to))
 }
 
@@ -212,7 +212,7 @@ pub fn rename_into(from: &Path, to: &Path) -> Result<bool> {
 /// # Errors
 /// It is not ours.
 pub fn make_read_only(file: &File, path: &Path) -> Result<()> {
-    point();
+    step("chmod", path);
     file.set_permissions(Permissions::from_mode(0o444)).map_err(FsError::at("make read-only", path))
 }
 
@@ -221,7 +221,7 @@ pub fn make_read_only(file: &File, path: &Path) -> Result<()> {
 /// # Errors
 /// The disk refuses.
 pub fn sync(file: &File, path: &Path) -> Result<()> {
-    point();
+    step("sync", path);
     file.sync_all().map_err(FsError::at("sync", path))
 }
 
@@ -238,7 +238,7 @@ pub fn sync_dir(path: &Path) -> Result<()> {
 /// # Errors
 /// It cannot be written.
 pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
-    point();
+    step("write", path);
     write_all(&mut File::create(path).map_err(FsError::at("write", path))?, path, bytes)
 }
 
@@ -247,7 +247,7 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
 /// # Errors
 /// It cannot be written.
 pub fn write_synced(path: &Path, bytes: &[u8]) -> Result<()> {
-    point();
+    step("write", path);
     let mut file = File::create(path).map_err(FsError::at("write", path))?;
     write_all(&mut file, path, bytes)?;
     sync(&file, path)
@@ -277,14 +277,14 @@ pub fn copy_atomic(from: &Path, to: &Path) -> Result<()> {
 /// `from` cannot be read or `to` cannot be written.
 pub fn copy(from: &Path, to: &Path) -> Result<()> {
     let mut source = open(from)?;
-    point();
+    step("write", to);
     let mut file = File::create(to).map_err(FsError::at("write", to))?;
     io::copy(&mut source, &mut file).map(drop).map_err(FsError::at("write", to))
 }
 
 fn place(path: &Path, fill: impl FnOnce(&mut File) -> Result<()>) -> Result<()> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    point();
+    step("write", path);
     // The user's own mask, as for any new file: the library's default would hide it from everybody else.
     let mut temporary = tempfile::Builder::new()
         .prefix(".tmp-")
@@ -293,7 +293,7 @@ fn place(path: &Path, fill: impl FnOnce(&mut File) -> Result<()>) -> Result<()> 
         .map_err(FsError::at("write in", folder))?;
     fill(temporary.as_file_mut())?;
     sync(temporary.as_file(), path)?;
-    point();
+    step("rename", path);
     temporary.persist(path).map_err(|error| FsError::at("write", path)(error.error))?;
     sync_dir(folder)
 }
@@ -303,7 +303,7 @@ fn write_all(file: &mut File, path: &Path, bytes: &[u8]) -> Result<()> {
     let bytes = {
         let (first, rest) = bytes.split_at(bytes.len() / 2);
         file.write_all(first).map_err(FsError::at("write", path))?;
-        point();
+        step("half", path);
         rest
     };
     file.write_all(bytes).map_err(FsError::at("write", path))

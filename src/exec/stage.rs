@@ -1,6 +1,8 @@
 //! The child's side of a stage: reads the job, runs the kind, says how it went. Dies with the engine that started it.
 
+use std::any::Any;
 use std::io::{Read, Write};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -23,7 +25,10 @@ pub fn run_stage(job_file: &Path, registry: &Registry) -> ExitCode {
         let _ = signal_hook::flag::register(signal, Arc::clone(&cancel));
     }
     let mut messages = std::io::stdout();
-    match perform(job_file, registry, &cancel, &mut messages) {
+    // A panic is on its way to the log already; what it said goes to the engine as well.
+    let work = AssertUnwindSafe(|| perform(job_file, registry, &cancel, &mut messages));
+    let result = catch_unwind(work).unwrap_or_else(|payload| Err(panicked(payload.as_ref())));
+    match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(StageError::Cancelled) => ExitCode::from(EXIT_STOPPED),
         Err(error) => {
@@ -32,6 +37,12 @@ pub fn run_stage(job_file: &Path, registry: &Registry) -> ExitCode {
             ExitCode::FAILURE
         }
     }
+}
+
+fn panicked(payload: &dyn Any) -> StageError {
+    let text = payload.downcast_ref::<String>().map(String::as_str);
+    let text = text.or_else(|| payload.downcast_ref::<&str>().copied()).unwrap_or("it does not say why");
+    StageError::failed(format!("it panicked: {text}; the log says where"))
 }
 
 /// Runs the job of a file in this thread.

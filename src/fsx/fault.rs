@@ -1,19 +1,41 @@
-//! Dies at a chosen point of writing, so that tests can kill the engine between any two steps that touch the disk.
-//! In release builds the points are empty.
+//! The steps at which the engine touches the disk, for tests: they can be listed, and the process can be made to die at
+//! any of them. In release builds there is nothing here.
 
 #[cfg(debug_assertions)]
 mod armed {
+    use std::path::{Path, PathBuf};
+    use std::sync::Mutex;
     use std::sync::atomic::{AtomicU64, Ordering};
 
-    /// Points still to pass; 0 is "not armed".
+    /// Steps still to pass; 0 is "not armed".
     static LEFT: AtomicU64 = AtomicU64::new(0);
+    /// The steps since [`watch`].
+    static SEEN: Mutex<Option<Vec<(&'static str, PathBuf)>>> = Mutex::new(None);
 
-    /// Kills this process, as `kill -9` would, when it comes to the `nth` point (from 1).
+    /// Kills this process, as `kill -9` would, when it comes to the `nth` step (from 1).
     pub fn arm(nth: u64) {
         LEFT.store(nth, Ordering::SeqCst);
     }
 
-    pub(in crate::fsx) fn point() {
+    /// Begins to list steps.
+    pub fn watch() {
+        if let Ok(mut seen) = SEEN.lock() {
+            seen.get_or_insert_default();
+        }
+    }
+
+    /// The steps on paths below `root` since [`watch`]: what was to be done, and on what.
+    pub fn seen(root: &Path) -> Vec<(&'static str, PathBuf)> {
+        let seen = SEEN.lock().ok().and_then(|seen| seen.clone()).unwrap_or_default();
+        seen.into_iter().filter(|(_, path)| path.starts_with(root)).collect()
+    }
+
+    pub(in crate::fsx) fn step(what: &'static str, path: &Path) {
+        if let Ok(mut seen) = SEEN.lock()
+            && let Some(seen) = seen.as_mut()
+        {
+            seen.push((what, path.to_owned()));
+        }
         let counted = LEFT.fetch_update(Ordering::SeqCst, Ordering::SeqCst, |left| left.checked_sub(1));
         if counted == Ok(1) {
             let _ = rustix::process::kill_process(rustix::process::getpid(), rustix::process::Signal::KILL);
@@ -23,11 +45,11 @@ mod armed {
 }
 
 #[cfg(debug_assertions)]
-pub use armed::arm;
+pub(super) use armed::step;
 #[cfg(debug_assertions)]
-pub(super) use armed::point;
+pub use armed::{arm, seen, watch};
 
 /// A step that touches the disk.
 #[cfg(not(debug_assertions))]
 #[inline(always)]
-pub(super) fn point() {}
+pub(super) fn step(_: &'static str, _: &std::path::Path) {}

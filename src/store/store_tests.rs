@@ -99,3 +99,32 @@ fn a_key_is_locked_by_one_at_a_time() {
     lock.remove().unwrap();
     assert!(store.try_lock(&key).unwrap().is_some());
 }
+
+/// What a power failure leaves is decided by the order in which things become durable; killing a process shows none of it.
+#[test]
+fn a_record_gets_its_name_only_after_it_and_its_blobs_are_durable() {
+    let (folder, store) = store();
+    let run = store.begin_run(&Value::Null).unwrap();
+    let blobs = ["one", "two"].map(|name| {
+        let path = run.temporary().join(name);
+        fsx::write(&path, name.as_bytes()).unwrap();
+        store.take(&path).unwrap()
+    });
+    let key = Key::new([3; 32]);
+    fsx::fault::watch();
+    store.commit(&key, &sample(), &blobs, run.temporary()).unwrap();
+    let steps = fsx::fault::seen(folder.path());
+    let at = |what: &'static str, path: &Path| {
+        let step = steps.iter().position(|step| *step == (what, path.to_owned()));
+        step.unwrap_or_else(|| panic!("no `{what}` of {}: {steps:?}", path.display()))
+    };
+    let record = store.record_path(&key);
+    let named = at("rename", &record);
+    assert!(at("sync", &run.temporary().join("record.json")) < named);
+    assert!(named < at("sync", record.parent().unwrap()));
+    for blob in &blobs {
+        let path = store.blob_path(&blob.digest);
+        assert!(at("sync", &path) < named);
+        assert!(at("sync", path.parent().unwrap()) < named);
+    }
+}
