@@ -21,9 +21,8 @@ const CACHE: &str = "DRIL_PIPE_CACHE";
 /// All that is wrong with it.
 pub(super) fn load(args: &PipelineArgs, registry: &Registry) -> Result<Graph, Error> {
     let name = SourceName(args.file.display().to_string());
-    let text =
-        fsx::read_to_string(&args.file).map_err(|error| Diagnostics::unreadable(&name, &error.source))?;
-    let spec = spec::parse(&text, &name)?;
+    let bytes = fsx::read(&args.file).map_err(|error| Diagnostics::unreadable(&name, &error.source))?;
+    let spec = spec::parse_bytes(&bytes, &name)?;
     Ok(resolve::resolve(&spec, &args.choices(), registry)?)
 }
 

@@ -1,48 +1,46 @@
-//! `tests/bad/` holds one mistake a file; what is said about each is a snapshot.
+//! `tests/bad/` holds one mistake a file; what the program says about each is a snapshot.
 
 use std::path::{Path, PathBuf};
 
-use dril_pipe::resolve::{Choices, resolve};
-use dril_pipe::spec::{Diagnostics, SourceName, parse_bytes};
+use crate::sealed::Sealed;
 
-use crate::samples;
-
-fn folder() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/bad")
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
 /// The options in the first line of a file, as in `# args: --profile fast --set a.b=1`.
-fn choices(bytes: &[u8]) -> Choices {
-    let text = String::from_utf8_lossy(bytes);
-    let line = text.lines().next().and_then(|line| line.strip_prefix("# args: ")).unwrap_or_default();
-    let words: Vec<&str> = line.split_whitespace().collect();
-    let mut choices = Choices::default();
-    for pair in words.chunks(2) {
-        match pair {
-            ["--profile", profile] => choices.profile = Some((*profile).to_owned()),
-            ["--set", set] => choices.set.push((*set).to_owned()),
-            other => panic!("unknown option {other:?}"),
-        }
-    }
-    choices
+fn options(file: &Path) -> String {
+    let bytes = std::fs::read(file).unwrap();
+    let text = String::from_utf8_lossy(&bytes);
+    let line = text.lines().next().and_then(|line| line.strip_prefix("# args:"));
+    line.unwrap_or_default().to_owned()
 }
 
-fn said(path: &Path) -> Result<(), Diagnostics> {
-    let bytes = std::fs::read(path).unwrap();
-    let name = SourceName(format!("tests/bad/{}", path.file_name().unwrap().to_string_lossy()));
-    let spec = parse_bytes(&bytes, &name)?;
-    resolve(&spec, &choices(&bytes), &samples::registry()).map(|_| ())
+/// Exit code and standard error of `dril-pipe graph` for a path below the project folder.
+fn said(path: &str, options: &str) -> String {
+    let mut command = Sealed::new().command(&format!("graph {path}{options}"));
+    let output = command.current_dir(root()).env("DRIL_FAKES_KINDS", "samples").output().unwrap();
+    assert!(output.stdout.is_empty(), "{path}");
+    format!("exit code {}\n{}", output.status.code().unwrap(), String::from_utf8(output.stderr).unwrap())
 }
 
 #[test]
 fn every_mistake_is_explained() {
-    let mut files: Vec<PathBuf> =
-        std::fs::read_dir(folder()).unwrap().map(|entry| entry.unwrap().path()).collect();
+    let entries = std::fs::read_dir(root().join("tests/bad")).unwrap();
+    let mut files: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
     files.sort();
     assert!(files.len() > 90);
     for file in files {
-        let stem = file.file_stem().unwrap().to_string_lossy().into_owned();
-        let said = said(&file).expect_err(&stem).to_string();
-        insta::assert_snapshot!(format!("bad__{stem}"), said);
+        let stem = file.file_stem().unwrap().to_str().unwrap();
+        insta::assert_snapshot!(
+            format!("bad__{stem}"),
+            said(&format!("tests/bad/{stem}.yaml"), &options(&file))
+        );
     }
+}
+
+#[test]
+fn a_folder_and_a_missing_file_are_explained() {
+    insta::assert_snapshot!("bad__folder", said("tests/bad", ""));
+    insta::assert_snapshot!("bad__missing_file", said("tests/bad/nowhere.yaml", ""));
 }

@@ -42,9 +42,12 @@ impl Describe for Dataset {
     }
 
     fn ports(_: &DatasetParams) -> Ports {
-        Ports::new()
-            .input("demonstrations", Artifact::Demonstrations, "the recording")
-            .output("demonstrations", Artifact::Demonstrations, "demos", "the set to learn from")
+        Ports::new().input("demonstrations", Artifact::Demonstrations, "the recording").output(
+            "demonstrations",
+            Artifact::Demonstrations,
+            "demos",
+            "the set to learn from",
+        )
     }
 
     fn needs(params: &DatasetParams) -> Needs {

@@ -151,7 +151,8 @@ impl DrilParams {
 impl Describe for Dril {
     const KIND: &'static str = "dril";
     const REVISION: u32 = 1;
-    const ABOUT: &'static str = "imitates by PPO on an ensemble's agreement, interleaved with behaviour cloning";
+    const ABOUT: &'static str =
+        "imitates by PPO on an ensemble's agreement, interleaved with behaviour cloning";
     type Params = DrilParams;
 
     fn check(params: &DrilParams, problems: &mut Problems) {

@@ -62,6 +62,9 @@ impl Describe for Evaluate {
 /// Reports a list of track seeds that runs over the end of the numbers.
 pub(crate) fn check_tracks(first: u64, count: u64, problems: &mut Problems) {
     if first.checked_add(count).is_none() {
-        problems.add("first_track_seed", format!("`first_track_seed` is {first}: {count} seeds from there do not fit 64 bits"));
+        problems.add(
+            "first_track_seed",
+            format!("`first_track_seed` is {first}: {count} seeds from there do not fit 64 bits"),
+        );
     }
 }

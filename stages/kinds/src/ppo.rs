@@ -107,9 +107,12 @@ impl Describe for Ppo {
     }
 
     fn ports(_: &PpoParams) -> Ports {
-        Ports::new()
-            .output("policy", Artifact::Policy, "safetensors", "the trained agent")
-            .output("log", Artifact::TrainingLog, "csv", "one row per update")
+        Ports::new().output("policy", Artifact::Policy, "safetensors", "the trained agent").output(
+            "log",
+            Artifact::TrainingLog,
+            "csv",
+            "one row per update",
+        )
     }
 
     fn needs(params: &PpoParams) -> Needs {

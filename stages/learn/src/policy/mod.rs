@@ -148,7 +148,7 @@ impl Policy {
         self.architecture
     }
 
-    /// The distribution and the value for a batch of observations (see [`crate::frames::Frames::gather`]).
+    /// The distribution and the value for a batch of observations (see [`crate::frames::FrameStore::gather`]).
     pub fn forward(&self, observations: &Tensor) -> Forward {
         let (features, values) = self.trunk.both(&self.params, observations);
         Forward { distribution: self.head.forward(&self.params, &features), values }
