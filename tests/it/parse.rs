@@ -62,72 +62,18 @@ fn ten_thousand_problems_are_cut_short() {
 }
 
 /// Words of the language, so that random texts get past the first line.
+#[rustfmt::skip]
+const WORDS: &[&str] = &[
+    "name: sample\n", "seed: 3\n", "params:\n", "axes:\n", "stages:\n", "defaults:\n", "profiles:\n",
+    "  a: ", "  b:\n", "    kind: train\n", "    with: ", "    inputs: ", "    matrix: ", "    seed: ",
+    "{ ", " }", "[", "]", ", ", ": ", "$a", "${a}", "$$", "$", "a", "train", "train.policy",
+    "\"train[a=*]\"", "a|b", "[a=1].b", "{ file: x }", "steps: 5", "5", "-1", ".nan", "1e3", "true", "~",
+    "&x ", "*x", "!replace ", "!!str ", "<<: ", "- ", "? ", "|\n", ">-\n", "'", "\"", "#", "\n", "\n  ",
+    "\n    ", "\t", "---\n", "...\n", "%YAML 1.2\n", "ä", "\u{1f600}", "\u{0}", "\u{202e}", "\r",
+];
+
 fn fragment() -> impl Strategy<Value = String> {
-    let words = [
-        "name: sample\n",
-        "seed: 3\n",
-        "params:\n",
-        "axes:\n",
-        "stages:\n",
-        "defaults:\n",
-        "profiles:\n",
-        "  a: ",
-        "  b:\n",
-        "    kind: train\n",
-        "    with: ",
-        "    inputs: ",
-        "    matrix: ",
-        "    seed: ",
-        "{ ",
-        " }",
-        "[",
-        "]",
-        ", ",
-        ": ",
-        "$a",
-        "${a}",
-        "$$",
-        "$",
-        "a",
-        "train",
-        "train.policy",
-        "\"train[a=*]\"",
-        "a|b",
-        "[a=1].b",
-        "{ file: x }",
-        "steps: 5",
-        "5",
-        "-1",
-        ".nan",
-        "1e3",
-        "true",
-        "~",
-        "&x ",
-        "*x",
-        "!replace ",
-        "!!str ",
-        "<<: ",
-        "- ",
-        "? ",
-        "|\n",
-        ">-\n",
-        "'",
-        "\"",
-        "#",
-        "\n",
-        "\n  ",
-        "\n    ",
-        "\t",
-        "---\n",
-        "...\n",
-        "%YAML 1.2\n",
-        "ä",
-        "\u{1f600}",
-        "\u{0}",
-        "\u{202e}",
-        "\r",
-    ];
-    proptest::sample::select(words.to_vec()).prop_map(str::to_owned)
+    proptest::sample::select(WORDS).prop_map(str::to_owned)
 }
 
 /// The sample with a few stretches cut out, doubled, or replaced.

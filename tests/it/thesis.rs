@@ -76,6 +76,26 @@ fn a_number_set_on_the_command_line_reaches_its_stages_only() {
 }
 
 #[test]
+fn the_example_that_opens_the_reference_resolves() {
+    let page =
+        std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/pipeline-file.md")).unwrap();
+    let example = page.split("```yaml\n").nth(1).unwrap().split("```").next().unwrap();
+    let spec = parse(example, &SourceName("docs/pipeline-file.md".to_owned())).unwrap();
+    let graph = resolve(&spec, &Choices::default(), &registry()).unwrap_or_else(|said| panic!("{said}"));
+    let ids: Vec<&str> = graph.stages.node_weights().map(|stage| &*stage.id).collect();
+    assert_eq!(
+        ids,
+        [
+            "train[policy=gaussian]",
+            "train[policy=beta]",
+            "score[policy=gaussian]",
+            "score[policy=beta]",
+            "table"
+        ]
+    );
+}
+
+#[test]
 fn one_glance_shows_the_experiment() {
     assert!(text("thesis.yaml").lines().count() <= 165);
 }

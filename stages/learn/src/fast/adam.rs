@@ -100,12 +100,14 @@ fn squares(values: &[f32]) -> f64 {
 mod tests {
     use super::*;
 
+    type Kernel = fn(&mut [f32], &mut [f32], &mut [f32], &[f32], Step);
+
     #[test]
     fn the_widest_vectors_give_the_same_bits_as_none() {
         let numbers = |factor: f32| -> Vec<f32> { (0..1003).map(|at| (at as f32 * factor).sin()).collect() };
         let squares: Vec<f32> = numbers(0.3).iter().map(|v| v * v).collect();
         let with = Step { scale: 0.7, beta1: 0.9, beta2: 0.999, rate: 3e-3, root: 1.7, epsilon: 1e-5 };
-        let run = |kernel: fn(&mut [f32], &mut [f32], &mut [f32], &[f32], Step)| {
+        let run = |kernel: Kernel| {
             let (mut value, mut m, mut v) = (numbers(0.1), numbers(0.2), squares.clone());
             kernel(&mut value, &mut m, &mut v, &numbers(0.4), with);
             (value, m, v)
