@@ -17,7 +17,11 @@ fn text(file: &str) -> String {
 }
 
 fn graph(profile: &str, set: &[&str]) -> Graph {
-    let spec = parse(&text("thesis.yaml"), &SourceName("pipelines/thesis.yaml".to_owned())).unwrap();
+    graph_of("thesis.yaml", profile, set)
+}
+
+fn graph_of(file: &str, profile: &str, set: &[&str]) -> Graph {
+    let spec = parse(&text(file), &SourceName(format!("pipelines/{file}"))).unwrap();
     let set = set.iter().map(|set| (*set).to_owned()).collect();
     let choices = Choices { profile: Some(profile.to_owned()), set };
     resolve(&spec, &choices, &registry()).unwrap_or_else(|said| panic!("{said}"))
@@ -50,6 +54,44 @@ fn the_thesis_resolves_at_every_profile() {
             assert_eq!(counts.get(stage), Some(&count), "{stage} at {profile}");
         }
     }
+}
+
+#[test]
+fn every_pipeline_resolves_at_every_profile() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines");
+    let mut seen = 0;
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.extension().is_none_or(|ending| ending != "yaml") {
+            continue;
+        }
+        let file = path.file_name().unwrap().to_str().unwrap();
+        let spec = parse(&text(file), &SourceName(format!("pipelines/{file}"))).unwrap();
+        let profiles: Vec<&str> = spec.profiles().collect();
+        assert!(profiles.contains(&"smoke"), "{file} has no profile that takes minutes");
+        for profile in profiles {
+            assert!(graph_of(file, profile, &[]).stages.node_count() > 1, "{file} at {profile}");
+            seen += 1;
+        }
+    }
+    assert!(seen >= 6);
+}
+
+#[test]
+fn the_annexs_experts_are_those_of_the_thesis() {
+    let experts = |graph: &Graph| {
+        let mut found: Vec<_> = graph
+            .stages
+            .node_weights()
+            .filter(|stage| stage.kind.name() == "ppo")
+            .map(|stage| format!("{:?} {:?}", stage.seed, stage.params))
+            .collect();
+        found.sort();
+        found
+    };
+    let (annex, thesis) = (graph_of("expert.yaml", "annex", &[]), graph("thesis", &[]));
+    assert_eq!(experts(&annex).len(), 10);
+    assert_eq!(experts(&annex), experts(&thesis));
 }
 
 #[test]

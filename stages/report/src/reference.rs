@@ -1,4 +1,5 @@
-//! Published results as a CSV file: key columns, then `mean` and `std`. Numbers are kept as they are written there.
+//! Published results as a CSV file: key columns, `mean`, and `std` where one was published. Numbers are kept as they
+//! are written there.
 
 use std::path::Path;
 
@@ -31,7 +32,8 @@ pub(crate) struct Reference {
 }
 
 impl Reference {
-    /// Reads the file at input [`PORT`]. Columns other than `keys`, `mean` and `std` are left alone.
+    /// Reads the file at input [`PORT`]. Columns other than `keys`, `mean` and `std` are left alone; only `std` may be
+    /// missing.
     ///
     /// # Errors
     /// It cannot be read, lacks a column, has one twice, has no row, a cell that is no number, or two rows of one key.
@@ -68,9 +70,9 @@ impl Reference {
     }
 }
 
-/// Where the key columns, `mean` and `std` are, in this order.
+/// Where the key columns and `mean` are, in this order, and after them `std` if there is one.
 fn positions(headers: &csv::StringRecord, keys: &[&str]) -> Result<Vec<usize>, String> {
-    let wanted: Vec<&str> = keys.iter().copied().chain(["mean", "std"]).collect();
+    let wanted: Vec<&str> = keys.iter().copied().chain(["mean"]).collect();
     let list = |names: &mut dyn Iterator<Item = &str>| {
         names.map(|name| format!("`{name}`")).collect::<Vec<_>>().join(", ")
     };
@@ -81,6 +83,7 @@ fn positions(headers: &csv::StringRecord, keys: &[&str]) -> Result<Vec<usize>, S
         let expected = list(&mut wanted.iter().copied());
         return Err(format!("has no column {missing}: its columns are {seen}, expected {expected}"));
     }
+    let wanted: Vec<&str> = wanted.into_iter().chain(["std"]).collect();
     let repeated = list(&mut wanted.iter().copied().filter(|name| count(name) > 1));
     if !repeated.is_empty() {
         return Err(format!("has column {repeated} more than once, expected each once"));
@@ -135,12 +138,33 @@ mod tests {
     }
 
     #[test]
+    fn the_published_values_that_come_with_the_program_can_be_read() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../pipelines/reference");
+        for (file, keys, rows) in [
+            ("table22.csv", &["expert", "method", "mode", "policy", "demonstrations"][..], 48),
+            ("table23.csv", &["algorithm", "source"], 7),
+            ("annex_agents.csv", &["environment", "policy", "mode"], 8),
+            ("annex_table3.csv", &["algorithm", "source"], 8),
+        ] {
+            assert_eq!(Reference::read(&folder.join(file), keys).unwrap().rows.len(), rows, "{file}");
+        }
+    }
+
+    #[test]
+    fn a_file_without_standard_deviations_is_read() {
+        let reference = Reference::parse(b"note,mean,key\nof five seeds,225.7,a\n", &["key"]).unwrap();
+        let row = reference.get(&["a".into()]).unwrap();
+        assert_eq!(row.mean.as_ref().map(|mean| mean.text.as_str()), Some("225.7"));
+        assert_eq!(row.std, None);
+    }
+
+    #[test]
     fn a_broken_file_is_refused_with_what_was_seen_and_where() {
         for (text, part) in [
-            ("", "has no column `key`, `mean`, `std`: its columns are none"),
+            ("", "has no column `key`, `mean`: its columns are none"),
             (
                 "kay,mean,std\na,1,2\n",
-                "has no column `key`: its columns are `kay`, `mean`, `std`, expected `key`, `me",
+                "has no column `key`: its columns are `kay`, `mean`, `std`, expected `key`, `mean`",
             ),
             ("key,mean,std,std\na,1,2,3\n", "has column `std` more than once"),
             ("key,mean,std\n", "has no row under its header"),

@@ -48,7 +48,7 @@ impl TableParams {
 /// Makes a table of evaluations, beside published values of the same combinations.
 ///
 /// Inputs: `scores`, any number of evaluations, each with its labels; `reference`, if given, a CSV file with the keys,
-/// `mean` and `std` as columns. Rows of the reference that match no evaluation are left out; evaluations that match no
+/// `mean` and, where it was published, `std` as columns. Rows of the reference that match no evaluation are left out; evaluations that match no
 /// row of the reference have empty `thesis_mean` and `thesis_std`.
 ///
 /// Outputs: `csv` with the columns `<keys>,mean,std,episodes,thesis_mean,thesis_std` (`mean` and `std` with two
