@@ -20,6 +20,10 @@ pub mod exit_codes {
     pub const PIPELINE: u8 = 3;
     /// The store, the results folder or another file could not be read or written, or a program is missing.
     pub const IO: u8 = 4;
+    /// A check did not hold: the store is damaged, or results are not what they were.
+    pub const CHECK_FAILED: u8 = 5;
+    /// The time of `run --for` was over; the next run goes on from there.
+    pub const OUT_OF_TIME: u8 = 6;
     /// Stopped by SIGINT or SIGTERM; the next run goes on from there.
     pub const INTERRUPTED: u8 = 130;
 }
@@ -33,6 +37,8 @@ pub enum ErrorKind {
     Pipeline,
     /// [`exit_codes::IO`].
     Io,
+    /// [`exit_codes::CHECK_FAILED`].
+    Check,
 }
 
 impl ErrorKind {
@@ -42,6 +48,7 @@ impl ErrorKind {
             Self::Usage => exit_codes::USAGE,
             Self::Pipeline => exit_codes::PIPELINE,
             Self::Io => exit_codes::IO,
+            Self::Check => exit_codes::CHECK_FAILED,
         }
     }
 
@@ -51,6 +58,7 @@ impl ErrorKind {
             Self::Usage => "usage",
             Self::Pipeline => "pipeline",
             Self::Io => "io",
+            Self::Check => "check",
         }
     }
 }
@@ -166,7 +174,7 @@ mod tests {
     #[test]
     fn no_two_kinds_of_ending_share_an_exit_code() {
         use exit_codes::*;
-        let codes = [OK, STAGE_FAILED, USAGE, PIPELINE, IO, INTERRUPTED];
+        let codes = [OK, STAGE_FAILED, USAGE, PIPELINE, IO, CHECK_FAILED, OUT_OF_TIME, INTERRUPTED];
         let different: std::collections::BTreeSet<_> = codes.iter().collect();
         assert_eq!(different.len(), codes.len());
     }

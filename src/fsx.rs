@@ -6,7 +6,7 @@ mod lock;
 
 pub use std::fs::File;
 use std::fs::{OpenOptions, Permissions};
-use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::io::{self, BufRead, Read, Seek, SeekFrom, Write};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
@@ -95,12 +95,31 @@ pub fn read(path: &Path) -> Result<Vec<u8>> {
     std::fs::read(path).map_err(FsError::at("read", path))
 }
 
-/// The whole file, which must be UTF-8.
+/// When a file's content was last changed, by the clock of then; `None` where there is none.
 ///
 /// # Errors
-/// It cannot be read, or is not UTF-8.
-pub fn read_to_string(path: &Path) -> Result<String> {
-    std::fs::read_to_string(path).map_err(FsError::at("read", path))
+/// It cannot be looked at.
+pub fn modified(path: &Path) -> Result<Option<std::time::SystemTime>> {
+    let Some(meta) = if_there("look at", path, std::fs::symlink_metadata(path))? else { return Ok(None) };
+    meta.modified().map(Some).map_err(FsError::at("look at", path))
+}
+
+/// True where anybody has the right to write into a file.
+///
+/// # Errors
+/// It cannot be looked at.
+pub fn is_writable(path: &Path) -> Result<bool> {
+    let meta = std::fs::symlink_metadata(path).map_err(FsError::at("look at", path))?;
+    Ok(meta.permissions().mode() & 0o222 != 0)
+}
+
+/// Sets the time of a file's last change to now.
+///
+/// # Errors
+/// It cannot be written.
+pub fn touch(path: &Path) -> Result<()> {
+    let file = OpenOptions::new().append(true).open(path).map_err(FsError::at("open", path))?;
+    file.set_modified(std::time::SystemTime::now()).map_err(FsError::at("touch", path))
 }
 
 /// Opens a regular file for reading.
@@ -122,7 +141,7 @@ pub fn open(path: &Path) -> Result<File> {
 /// # Errors
 /// It cannot be opened.
 pub fn open_append(path: &Path) -> Result<File> {
-    step("append", path);
+    step("append", path)?;
     OpenOptions::new().append(true).create(true).open(path).map_err(FsError::at("open", path))
 }
 
@@ -139,7 +158,7 @@ pub fn append(path: &Path, bytes: &[u8]) -> Result<()> {
 /// # Errors
 /// It is there, or cannot be made.
 pub fn create_dir(path: &Path) -> Result<()> {
-    step("make", path);
+    step("make", path)?;
     std::fs::create_dir(path).map_err(FsError::at("make the folder", path))
 }
 
@@ -148,7 +167,7 @@ pub fn create_dir(path: &Path) -> Result<()> {
 /// # Errors
 /// It cannot be made.
 pub fn create_dir_all(path: &Path) -> Result<()> {
-    step("make", path);
+    step("make", path)?;
     std::fs::create_dir_all(path).map_err(FsError::at("make the folder", path))
 }
 
@@ -157,7 +176,7 @@ pub fn create_dir_all(path: &Path) -> Result<()> {
 /// # Errors
 /// It is there and cannot be removed.
 pub fn remove_file(path: &Path) -> Result<bool> {
-    step("remove", path);
+    step("remove", path)?;
     Ok(if_there("remove", path, std::fs::remove_file(path))?.is_some())
 }
 
@@ -166,7 +185,7 @@ pub fn remove_file(path: &Path) -> Result<bool> {
 /// # Errors
 /// It is there and cannot be removed.
 pub fn remove_dir_all(path: &Path) -> Result<()> {
-    step("remove", path);
+    step("remove", path)?;
     if_there("remove the folder", path, std::fs::remove_dir_all(path)).map(drop)
 }
 
@@ -189,7 +208,7 @@ pub fn list(path: &Path) -> Result<Vec<PathBuf>> {
 /// # Errors
 /// It cannot be moved.
 pub fn rename(from: &Path, to: &Path) -> Result<()> {
-    step("rename", to);
+    step("rename", to)?;
     std::fs::rename(from, to).map_err(FsError::at("move a file to", to))
 }
 
@@ -212,7 +231,7 @@ pub fn rename_into(from: &Path, to: &Path) -> Result<bool> {
 /// # Errors
 /// It is not ours.
 pub fn make_read_only(file: &File, path: &Path) -> Result<()> {
-    step("chmod", path);
+    step("chmod", path)?;
     file.set_permissions(Permissions::from_mode(0o444)).map_err(FsError::at("make read-only", path))
 }
 
@@ -221,7 +240,7 @@ pub fn make_read_only(file: &File, path: &Path) -> Result<()> {
 /// # Errors
 /// The disk refuses.
 pub fn sync(file: &File, path: &Path) -> Result<()> {
-    step("sync", path);
+    step("sync", path)?;
     file.sync_all().map_err(FsError::at("sync", path))
 }
 
@@ -238,7 +257,7 @@ pub fn sync_dir(path: &Path) -> Result<()> {
 /// # Errors
 /// It cannot be written.
 pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
-    step("write", path);
+    step("write", path)?;
     write_all(&mut File::create(path).map_err(FsError::at("write", path))?, path, bytes)
 }
 
@@ -247,7 +266,7 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
 /// # Errors
 /// It cannot be written.
 pub fn write_synced(path: &Path, bytes: &[u8]) -> Result<()> {
-    step("write", path);
+    step("write", path)?;
     let mut file = File::create(path).map_err(FsError::at("write", path))?;
     write_all(&mut file, path, bytes)?;
     sync(&file, path)
@@ -260,6 +279,25 @@ pub fn write_synced(path: &Path, bytes: &[u8]) -> Result<()> {
 /// It cannot be written; what was there is still there.
 pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<()> {
     place(path, |file| write_all(file, path, bytes))
+}
+
+/// As [`write_atomic`], with content that `fill` writes.
+///
+/// # Errors
+/// It cannot be written, or `fill` fails; what was there is still there.
+pub fn fill_atomic(path: &Path, fill: impl FnOnce(&mut File) -> Result<()>) -> Result<()> {
+    place(path, fill)
+}
+
+/// Writes all that can be read from `from` to the new file `path`, without a promise about power failures. The number of
+/// bytes.
+///
+/// # Errors
+/// `from` cannot be read or `path` cannot be written.
+pub fn write_from(path: &Path, mut from: impl Read) -> Result<u64> {
+    step("write", path)?;
+    let mut file = File::create(path).map_err(FsError::at("write", path))?;
+    io::copy(&mut from, &mut file).map_err(FsError::at("write", path))
 }
 
 /// Copies `from` to `to` so that `to` is there in full or not at all.
@@ -277,14 +315,14 @@ pub fn copy_atomic(from: &Path, to: &Path) -> Result<()> {
 /// `from` cannot be read or `to` cannot be written.
 pub fn copy(from: &Path, to: &Path) -> Result<()> {
     let mut source = open(from)?;
-    step("write", to);
+    step("write", to)?;
     let mut file = File::create(to).map_err(FsError::at("write", to))?;
     io::copy(&mut source, &mut file).map(drop).map_err(FsError::at("write", to))
 }
 
 fn place(path: &Path, fill: impl FnOnce(&mut File) -> Result<()>) -> Result<()> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    step("write", path);
+    step("write", path)?;
     // The user's own mask, as for any new file: the library's default would hide it from everybody else.
     let mut temporary = tempfile::Builder::new()
         .prefix(".tmp-")
@@ -293,7 +331,7 @@ fn place(path: &Path, fill: impl FnOnce(&mut File) -> Result<()>) -> Result<()> 
         .map_err(FsError::at("write in", folder))?;
     fill(temporary.as_file_mut())?;
     sync(temporary.as_file(), path)?;
-    step("rename", path);
+    step("rename", path)?;
     temporary.persist(path).map_err(|error| FsError::at("write", path)(error.error))?;
     sync_dir(folder)
 }
@@ -303,10 +341,33 @@ fn write_all(file: &mut File, path: &Path, bytes: &[u8]) -> Result<()> {
     let bytes = {
         let (first, rest) = bytes.split_at(bytes.len() / 2);
         file.write_all(first).map_err(FsError::at("write", path))?;
-        step("half", path);
+        step("half", path)?;
         rest
     };
     file.write_all(bytes).map_err(FsError::at("write", path))
+}
+
+/// The first byte in which two files differ, from 0; where one begins with the other, the length of the shorter one.
+///
+/// # Errors
+/// One cannot be read.
+pub fn first_difference(one: &Path, other: &Path) -> Result<u64> {
+    let (mut first, mut second) = (io::BufReader::new(open(one)?), io::BufReader::new(open(other)?));
+    let mut at = 0;
+    loop {
+        let a = first.fill_buf().map_err(FsError::at("read", one))?;
+        let b = second.fill_buf().map_err(FsError::at("read", other))?;
+        let both = a.len().min(b.len());
+        if let Some(here) = a.iter().zip(b).position(|(a, b)| a != b) {
+            return Ok(at + here as u64);
+        }
+        if both == 0 {
+            return Ok(at);
+        }
+        at += both as u64;
+        first.consume(both);
+        second.consume(both);
+    }
 }
 
 /// The last lines of a text file: at most `lines`, read from at most the last 64 KiB.

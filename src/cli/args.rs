@@ -1,5 +1,8 @@
 //! The command line as clap reads it, and nothing else: no other file names clap.
 
+mod cache;
+mod inspect;
+
 use std::ffi::OsString;
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
@@ -8,6 +11,9 @@ use clap::{ArgMatches, Args, CommandFactory, FromArgMatches, Parser, Subcommand,
 
 use super::Extra;
 use crate::resolve::Choices;
+use crate::spec::limits::parse_time;
+pub(super) use cache::{CacheArgs, CacheCommand, DuArgs, ExportArgs, GcArgs, ImportArgs, VerifyArgs};
+pub(super) use inspect::{DiffArgs, ExplainArgs, LogArgs, RunsArgs, ShowArgs, StatusArgs};
 
 const EXIT_CODES: &str = "\
 Exit codes:
@@ -16,6 +22,8 @@ Exit codes:
   2    the command line is wrong
   3    the pipeline file is wrong, or a file that it names is missing; nothing ran
   4    the store, the results folder or another file could not be read or written, or a program is missing
+  5    a check did not hold: the store is damaged, or results are not what they were
+  6    the time of `run --for` was over; the next run goes on from there
   130  stopped by SIGINT or SIGTERM; the next run goes on from there";
 
 /// Runs pipelines of experiments: a YAML file of typed stages, hashed, cached, and run where something changed
@@ -34,6 +42,20 @@ pub(super) enum Command {
     Run(RunArgs),
     /// Show what would run, and which parameter or input made it so; runs nothing
     Plan(PlanArgs),
+    /// Say which field, input or revision made stages run, with old and new value, back to the first cause
+    Explain(ExplainArgs),
+    /// Show which stages are fresh, stale, running or failed, how old and how long they are
+    Status(StatusArgs),
+    /// Show a stage's parameters, digests and where everything in it comes from
+    Show(ShowArgs),
+    /// Print what a stage printed
+    Log(LogArgs),
+    /// List the runs on a store
+    Runs(RunsArgs),
+    /// Compare two runs: parameters, inputs and results
+    Diff(DiffArgs),
+    /// Look after the store: check it, make room, see what takes room, carry results to another machine
+    Cache(CacheArgs),
     /// Print the graph of stages as DOT or Mermaid
     Graph(GraphArgs),
     /// List the stage kinds, or one kind's parameters, inputs and outputs
@@ -102,6 +124,18 @@ pub(super) struct RunArgs {
     /// Start no further stage once one has failed
     #[arg(long)]
     pub fail_fast: bool,
+    /// Stop cleanly after this time, as in `2h` or `1h30m`, and say what is left
+    #[arg(long = "for", value_name = "TIME", value_parser = time)]
+    pub time: Option<std::time::Duration>,
+    /// Then run every stage once more, and fail where an output differs
+    #[arg(long)]
+    pub check_determinism: bool,
+    /// Write what every stage was made as to the lock file beside the pipeline, `thesis.lock` for `thesis.yaml`
+    #[arg(long, conflicts_with_all = ["locked", "set"])]
+    pub lock: bool,
+    /// Fail where anything is not as the lock file says: before anything runs where that is known
+    #[arg(long)]
+    pub locked: bool,
     /// Print what happens as lines of JSON
     #[arg(long, conflicts_with = "quiet")]
     pub json: bool,
@@ -204,6 +238,10 @@ fn answer(error: &clap::Error, colour: bool) -> Request {
     Request::Answer(text, error.use_stderr(), code)
 }
 
+fn time(text: &str) -> Result<std::time::Duration, String> {
+    parse_time(text)
+}
+
 fn at_least_one(text: &str) -> Result<NonZeroUsize, String> {
     text.parse().map_err(|_| "expected a whole number, 1 or more".to_owned())
 }
@@ -232,7 +270,7 @@ mod tests {
     #[test]
     fn help_lists_every_exit_code() {
         use crate::error::exit_codes::*;
-        for code in [OK, STAGE_FAILED, USAGE, PIPELINE, IO, INTERRUPTED] {
+        for code in [OK, STAGE_FAILED, USAGE, PIPELINE, IO, CHECK_FAILED, OUT_OF_TIME, INTERRUPTED] {
             assert!(EXIT_CODES.contains(&format!("\n  {code:<4} ")), "{code}");
         }
     }

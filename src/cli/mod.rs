@@ -4,9 +4,13 @@
 //! has the ways to tell how a run goes.
 
 mod args;
+mod cache;
+mod checked;
 mod columns;
 mod graph;
+mod inspect;
 mod kinds;
+mod lockfile;
 mod names;
 mod pipeline;
 mod plan;
@@ -94,6 +98,13 @@ fn own(command: &Command, registry: &Registry) -> ExitCode {
     let done = match command {
         Command::Run(args) => run::main(args, registry),
         Command::Plan(args) => plan::main(args, registry),
+        Command::Explain(args) => inspect::explain::main(args, registry),
+        Command::Status(args) => inspect::status::main(args, registry),
+        Command::Show(args) => inspect::show::main(args, registry),
+        Command::Log(args) => inspect::log::main(args),
+        Command::Runs(args) => inspect::runs::main(args),
+        Command::Diff(args) => inspect::diff::main(args),
+        Command::Cache(args) => cache::main(args, registry),
         Command::Graph(args) => graph::main(args, registry),
         Command::Kinds(args) => kinds::main(args, registry),
     };

@@ -8,7 +8,7 @@ use dril_stage_api::Registry;
 use super::args::{PipelineArgs, StoreArgs};
 use crate::error::Error;
 use crate::fsx;
-use crate::resolve::{self, Graph};
+use crate::resolve::{self, Choices, Graph};
 use crate::spec::{self, Diagnostics, SourceName};
 use crate::store::Store;
 
@@ -26,9 +26,34 @@ pub(super) fn load(args: &PipelineArgs, registry: &Registry) -> Result<Graph, Er
     Ok(resolve::resolve(&spec, &args.choices(), registry)?)
 }
 
+/// Reads a pipeline file and resolves it with each of its profiles.
+///
+/// # Errors
+/// All that is wrong with it.
+pub(super) fn load_all_profiles(file: &Path, registry: &Registry) -> Result<Vec<Graph>, Error> {
+    let name = SourceName(file.display().to_string());
+    let bytes = fsx::read(file).map_err(|error| Diagnostics::unreadable(&name, &error.source))?;
+    let spec = spec::parse_bytes(&bytes, &name)?;
+    let mut profiles: Vec<Option<String>> = spec.profiles().map(|profile| Some(profile.to_owned())).collect();
+    if profiles.is_empty() {
+        profiles.push(None);
+    }
+    let mut graphs = Vec::new();
+    for profile in profiles {
+        let choices = Choices { profile, ..Choices::default() };
+        graphs.push(resolve::resolve(&spec, &choices, registry)?);
+    }
+    Ok(graphs)
+}
+
 /// The folder that the pipeline file's paths are relative to.
 pub(super) fn base(args: &PipelineArgs) -> PathBuf {
-    match args.file.parent() {
+    base_of(&args.file)
+}
+
+/// The folder that the paths of this pipeline file are relative to.
+pub(super) fn base_of(file: &Path) -> PathBuf {
+    match file.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder.to_owned(),
         _ => PathBuf::from("."),
     }

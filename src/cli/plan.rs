@@ -7,10 +7,11 @@ use serde_json::{Value, json};
 
 use super::args::PlanArgs;
 use super::names::Names;
-use super::terminal::{Style, Terminal, count, print};
+use super::terminal::{Style, Terminal, count, estimate, print};
 use super::{columns, pipeline, why};
 use crate::error::Error;
-use crate::plan::{self, Plan, Verdict};
+use crate::exec::Options;
+use crate::plan::{self, Estimates, Plan, Verdict};
 use crate::resolve::StageIndex;
 
 /// At most so many stages are named after "depends on".
@@ -20,10 +21,11 @@ pub(super) fn main(args: &PlanArgs, registry: &Registry) -> Result<ExitCode, Err
     let graph = pipeline::load(&args.pipeline, registry)?;
     let store = pipeline::store(&args.store)?;
     let plan = plan::plan(&graph, &store, &pipeline::base(&args.pipeline))?;
+    let estimates = Estimates::of(&plan, &store)?;
     if args.json {
-        print(&format!("{:#}\n", as_json(&plan)))?;
+        print(&format!("{:#}\n", as_json(&plan, &estimates)))?;
     } else {
-        print(&table(&plan, args.all, Terminal::stdout()))?;
+        print(&table(&plan, &estimates, args.all, Terminal::stdout()))?;
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -108,7 +110,7 @@ fn why_of(row: &Row<'_>, names: &Names<'_>) -> String {
     }
 }
 
-fn table(plan: &Plan<'_>, all: bool, terminal: Terminal) -> String {
+fn table(plan: &Plan<'_>, estimates: &Estimates, all: bool, terminal: Terminal) -> String {
     let names = Names::new(plan.graph);
     let rows: Vec<Vec<String>> = rows(plan, &names, all)
         .into_iter()
@@ -125,7 +127,7 @@ fn table(plan: &Plan<'_>, all: bool, terminal: Terminal) -> String {
         text.push('\n');
     }
     let width = terminal.width.unwrap_or(usize::MAX);
-    text + &columns::wrap(&summary(plan), width).join("\n") + "\n"
+    text + &columns::wrap(&(summary(plan) + &time_left(plan, estimates)), width).join("\n") + "\n"
 }
 
 fn heading(plan: &Plan<'_>, terminal: Terminal) -> String {
@@ -146,7 +148,22 @@ fn summary(plan: &Plan<'_>) -> String {
     text + &format!(", {cached} cached")
 }
 
-fn as_json(plan: &Plan<'_>) -> Value {
+/// How long all that is stale will take here, where earlier runs tell; shorter times than a second are not worth a word.
+fn time_left(plan: &Plan<'_>, estimates: &Estimates) -> String {
+    let threads = Options::default().threads;
+    let (time, unknown) = estimates.together(plan, threads, |stage| is_stale(plan, stage));
+    if time.as_secs() == 0 {
+        return String::new();
+    }
+    let besides = if unknown > 0 { format!(", and {unknown} of unknown length") } else { String::new() };
+    format!("; about {} on {}{besides}", estimate(time), count(threads, "thread"))
+}
+
+fn is_stale(plan: &Plan<'_>, stage: StageIndex) -> bool {
+    !matches!(plan.verdict(stage), Some(Verdict::Cached { .. }))
+}
+
+fn as_json(plan: &Plan<'_>, estimates: &Estimates) -> Value {
     let id = |index: &StageIndex| plan.graph.stages.node_weight(*index).map(|stage| stage.id.to_string());
     let stages: Vec<Value> = plan
         .steps
@@ -165,6 +182,9 @@ fn as_json(plan: &Plan<'_>) -> Value {
             if let Some(stage) = plan.graph.stages.node_weight(*index) {
                 entry["stage"] = json!(*stage.id);
                 entry["kind"] = json!(stage.kind.name());
+                if let Some(takes) = estimates.stage(*index) {
+                    entry["estimate"] = json!(takes.as_secs_f64());
+                }
             }
             entry
         })

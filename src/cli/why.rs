@@ -29,6 +29,7 @@ pub(super) fn text(reasons: &[Reason]) -> String {
 
 fn input(port: &str, first: &Reason, parts: usize) -> String {
     let Reason::Input { from, .. } = first else { return String::new() };
+    let from = printable(from);
     match parts {
         1 => format!("input `{port}` differs ({from})"),
         _ => format!("input `{port}` differs ({from} and {} more)", parts - 1),
@@ -91,7 +92,12 @@ mod tests {
 
     #[test]
     fn many_parts_of_a_fan_in_are_one_reason() {
-        let part = |port: &str, from: &str| Reason::Input { port: port.into(), from: from.into() };
+        let part = |port: &str, from: &str| Reason::Input {
+            port: port.into(),
+            from: from.into(),
+            old: None,
+            new: None,
+        };
         let reasons = [part("scores", "a"), part("scores", "b"), part("scores", "c"), part("policy", "d")];
         assert_eq!(text(&reasons), "input `scores` differs (a and 2 more), input `policy` differs (d)");
     }

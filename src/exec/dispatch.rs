@@ -1,5 +1,8 @@
 //! The dispatcher: the one owner of a run's state. It decides what starts when, and tells; workers work, printers listen.
 
+mod backfill;
+mod settle;
+
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -8,11 +11,12 @@ use std::time::{Duration, Instant};
 
 use super::journal::Journal;
 use super::ready::{Elsewhere, Ready};
-use super::work::{Failure, News, Site, Task};
-use super::{Event, Executed, Outcome};
+use super::work::{News, Site, Task};
+use super::{Event, Executed, Kept, Outcome};
+use crate::fsx::Lock;
 use crate::plan::{self, Cached, Order, OutsideFile, Reason, Verdict};
 use crate::resolve::{Graph, StageIndex};
-use crate::store::{History, Key, Outputs, StoreError};
+use crate::store::{History, Key, Outputs, Run, StoreError};
 
 /// How soon a wish to stop is noticed.
 const GLANCE: Duration = Duration::from_millis(50);
@@ -53,6 +57,8 @@ pub(super) struct Dispatcher<'a, 's> {
     site: Site<'a>,
     began: Instant,
     history: History,
+    /// Held since the plan was made, until the run has noted what it relies on.
+    held: Option<Lock>,
     journal: Journal<'a, 's>,
     state: Vec<State>,
     keys: Vec<Option<Key>>,
@@ -67,6 +73,8 @@ pub(super) struct Dispatcher<'a, 's> {
     twins: HashMap<Key, Vec<StageIndex>>,
     threads_used: usize,
     running: usize,
+    /// When each running stage began, for what may slip in before one that has no room.
+    pace: backfill::Pace,
     committing: usize,
     stopping: bool,
     /// The failure after which nothing is started any more.
@@ -77,7 +85,7 @@ pub(super) struct Dispatcher<'a, 's> {
 impl<'a, 's> Dispatcher<'a, 's> {
     pub fn new(
         shape: Shape<'a>,
-        history: History,
+        (history, held): (History, Option<Lock>),
         site: Site<'a>,
         began: Instant,
         sink: &'s mut dyn FnMut(&Event),
@@ -88,6 +96,7 @@ impl<'a, 's> Dispatcher<'a, 's> {
             site,
             began,
             history,
+            held,
             journal: Journal::new(shape.graph, began, sink),
             state: vec![State::Pending; count],
             keys: vec![None; count],
@@ -100,6 +109,7 @@ impl<'a, 's> Dispatcher<'a, 's> {
             twins: HashMap::new(),
             threads_used: 0,
             running: 0,
+            pace: backfill::Pace::default(),
             committing: 0,
             stopping: false,
             halted: None,
@@ -150,6 +160,8 @@ impl<'a, 's> Dispatcher<'a, 's> {
                 _ => {}
             }
         }
+        // Stopped when all was done already: nothing is left for which there was no time.
+        self.outcome.out_of_time &= self.outcome.stopped > 0;
         self.outcome.took = self.began.elapsed();
         let run = self.journal.finish(&self.outcome)?;
         if self.outcome.is_complete() {
@@ -157,8 +169,10 @@ impl<'a, 's> Dispatcher<'a, 's> {
         } else {
             self.history.flush()?
         }
-        let folder = run.map(|run| run.folder().to_owned());
-        Ok(Executed { outcome: self.outcome, outputs: self.done, folder })
+        self.history.touch();
+        let folder = run.as_ref().map(|run| run.folder().to_owned());
+        let kept = Kept { _run: run, _held: self.held.take().map(Arc::new) };
+        Ok(Executed { outcome: self.outcome, outputs: self.done, folder, keys: self.keys, _kept: kept })
     }
 
     /// Takes the plan's verdicts over. What is cached is done at once; the rest becomes ready in turn.
@@ -187,21 +201,25 @@ impl<'a, 's> Dispatcher<'a, 's> {
     }
 
     fn look_at_stop(&mut self, stop: &AtomicBool) {
-        if !self.stopping && stop.load(Ordering::Relaxed) {
+        let late = self.site.options.deadline.is_some_and(|deadline| Instant::now() >= deadline);
+        if !self.stopping && (late || stop.load(Ordering::Relaxed)) {
             self.stopping = true;
+            self.outcome.out_of_time = late;
             self.site.halt.store(true, Ordering::Relaxed);
-            self.journal.tell(&Event::Stopping);
+            self.journal.tell(&Event::Stopping { out_of_time: late });
         }
     }
 
     fn start_ready(&mut self, start: &mut Start<'_, 'a>) -> Result<(), StoreError> {
         while !self.stopping && self.halted.is_none() && self.committing < COMMITS {
-            let Some(stage) = self.ready.peek() else { break };
-            // In order, without overtaking: a small stage that slips in keeps a big one from ever starting.
-            if self.running > 0 && self.threads_used + self.threads(stage) > self.budget() {
-                break;
-            }
-            self.ready.pop();
+            let Some(first) = self.ready.peek() else { break };
+            let free = self.budget().saturating_sub(self.threads_used);
+            let stage = if self.running == 0 || self.threads(first) <= free {
+                self.ready.pop()
+            } else {
+                self.slip_in(first, free)
+            };
+            let Some(stage) = stage else { break };
             self.start(stage, start)?;
         }
         Ok(())
@@ -215,10 +233,7 @@ impl<'a, 's> Dispatcher<'a, 's> {
             self.state[stage.index()] = State::Twin;
             return Ok(());
         }
-        let done = self.shape.graph.stages.node_indices().zip(&self.keys).zip(&self.done);
-        let done =
-            done.filter_map(|((stage, key), done)| Some((stage, key.as_ref().filter(|_| done.is_some())?)));
-        let run = self.journal.open(self.site.store, self.site.options.threads.max(1), done)?;
+        let run = self.open_run()?;
         let Some(lock) = self.site.store.try_lock(&key)? else {
             if self.elsewhere.note(stage, Instant::now()) {
                 self.journal.tell(&Event::Waiting { stage });
@@ -231,14 +246,31 @@ impl<'a, 's> Dispatcher<'a, 's> {
             lock.remove()?;
             return self.settle(stage, key, outputs);
         }
+        run.rely_on([key], [])?;
         let why = self.take_why(stage)?;
         self.twins.insert(key, Vec::new());
         self.state[stage.index()] = State::Running;
         self.running += 1;
         self.threads_used += self.threads(stage);
+        self.pace.began(stage, self.threads(stage), self.own_cost(stage));
         self.journal.tell(&Event::StageStarted { stage, key, why });
         start(Task::new(stage, key, lock, run, self.shape, &self.done, self.site));
         Ok(())
+    }
+
+    /// The run's folder, made when the first stage starts. From then on the run's own note says what it relies on.
+    fn open_run(&mut self) -> Result<Arc<Run>, StoreError> {
+        if let Some(run) = self.journal.run() {
+            return Ok(Arc::clone(run));
+        }
+        let done = self.shape.graph.stages.node_indices().zip(&self.keys).zip(&self.done);
+        let done: Vec<(StageIndex, &Key)> = done
+            .filter_map(|((stage, key), done)| Some((stage, key.as_ref().filter(|_| done.is_some())?)))
+            .collect();
+        let run = self.journal.open(self.site.store, self.site.options, &done)?;
+        run.rely_on(done.into_iter().map(|(_, key)| *key), [])?;
+        self.held = None;
+        Ok(run)
     }
 
     fn hear(&mut self, news: News) -> Result<(), StoreError> {
@@ -251,6 +283,7 @@ impl<'a, 's> Dispatcher<'a, 's> {
             News::Built(stage, built) => {
                 self.running -= 1;
                 self.threads_used -= self.threads(stage);
+                self.pace.ended(stage);
                 let key = self.keys[stage.index()];
                 let twins = key.and_then(|key| self.twins.remove(&key)).unwrap_or_default();
                 match (built, key) {
@@ -266,144 +299,20 @@ impl<'a, 's> Dispatcher<'a, 's> {
         }
     }
 
-    fn built(
-        &mut self,
-        stage: StageIndex,
-        key: Key,
-        outputs: Arc<Outputs>,
-        twins: &[StageIndex],
-    ) -> Result<(), StoreError> {
-        self.committing += 1;
-        self.state[stage.index()] = State::Done;
-        self.done[stage.index()] = Some(Arc::clone(&outputs));
-        self.wake_readers(stage)?;
-        for &twin in twins {
-            self.settle(twin, key, Arc::clone(&outputs))?;
-        }
-        Ok(())
-    }
-
-    fn not_built(&mut self, stage: StageIndex, failure: Failure, twins: &[StageIndex]) {
-        match failure {
-            Failure::Stopped => {
-                self.state[stage.index()] = State::Over;
-                self.outcome.stopped += 1;
-                self.journal.tell(&Event::Stopped { stage });
-            }
-            Failure::Failed(error) => {
-                self.failed(stage, error);
-                self.skip_readers(stage, stage);
-                for &twin in twins {
-                    self.skip(twin, stage);
-                    self.skip_readers(twin, stage);
-                }
-            }
-        }
-    }
-
-    fn committed(
-        &mut self,
-        stage: StageIndex,
-        committed: Result<Duration, String>,
-    ) -> Result<(), StoreError> {
-        self.committing -= 1;
-        match committed {
-            Ok(took) => {
-                self.outcome.ran += 1;
-                self.journal.tell(&Event::StageFinished { stage, took });
-                self.note(stage)
-            }
-            // Its outputs can be used, so what depends on it goes on; but it has no record.
-            Err(error) => {
-                self.failed(stage, error);
-                Ok(())
-            }
-        }
-    }
-
-    fn failed(&mut self, stage: StageIndex, error: String) {
-        self.state[stage.index()] = State::Over;
-        self.outcome.failed += 1;
-        if !self.site.options.keep_going {
-            self.halted.get_or_insert(stage);
-        }
-        let log = self.journal.run().map(|run| run.log(&self.log_stem(stage))).unwrap_or_default();
-        let log_tail = crate::fsx::tail(&log, TAIL).unwrap_or_default();
-        self.journal.tell(&Event::StageFailed { stage, error, log_tail, log });
-    }
-
-    /// Skips all that can not run because `because` failed.
-    fn skip_readers(&mut self, stage: StageIndex, because: StageIndex) {
-        let mut behind = vec![stage];
-        while let Some(stage) = behind.pop() {
-            for &reader in self.shape.order.readers(stage) {
-                if self.state[reader.index()] == State::Pending {
-                    self.skip(reader, because);
-                    behind.push(reader);
-                }
-            }
-        }
-    }
-
-    fn skip(&mut self, stage: StageIndex, because: StageIndex) {
-        self.state[stage.index()] = State::Over;
-        self.outcome.skipped += 1;
-        self.journal.tell(&Event::Skipped { stage, because });
-    }
-
-    /// A stage whose outputs are there: done without running, and so may be those behind it.
-    fn settle(&mut self, stage: StageIndex, key: Key, outputs: Arc<Outputs>) -> Result<(), StoreError> {
-        self.cached(stage, key, outputs)?;
-        self.wake_readers(stage)
-    }
-
-    fn cached(&mut self, stage: StageIndex, key: Key, outputs: Arc<Outputs>) -> Result<(), StoreError> {
-        self.keys[stage.index()] = Some(key);
-        self.state[stage.index()] = State::Done;
-        self.done[stage.index()] = Some(outputs);
-        self.outcome.cached += 1;
-        self.journal.tell(&Event::Cached { stage, key });
-        self.note(stage)
-    }
-
-    /// Looks at the stages behind one that is done: their keys can now be known, and what is there already is done too.
-    fn wake_readers(&mut self, stage: StageIndex) -> Result<(), StoreError> {
-        let mut done = vec![stage];
-        while let Some(stage) = done.pop() {
-            for &reader in self.shape.order.readers(stage) {
-                self.left[reader.index()] -= 1;
-                if self.left[reader.index()] > 0 || self.state[reader.index()] != State::Pending {
-                    continue;
-                }
-                match plan::key_of(&self.shape.graph.stages[reader], &self.done, self.shape.files) {
-                    Ok(Some(key)) => match self.look_up(reader, &key)? {
-                        Cached::Yes(outputs) => {
-                            self.cached(reader, key, outputs)?;
-                            done.push(reader);
-                        }
-                        Cached::No(reason) => {
-                            self.why[reader.index()] = reason.map(|reason| vec![reason]);
-                            self.make_ready(reader, key);
-                        }
-                    },
-                    Ok(None) => {}
-                    Err(error) => {
-                        self.failed(reader, error.to_string());
-                        self.skip_readers(reader, reader);
-                    }
-                }
-            }
-        }
-        Ok(())
-    }
-
     fn make_ready(&mut self, stage: StageIndex, key: Key) {
         self.keys[stage.index()] = Some(key);
         self.ready.push(stage, self.costs[stage.index()]);
     }
 
+    /// Looks whether a key is made; if so, it stays until this run is over.
     fn look_up(&self, stage: StageIndex, key: &Key) -> Result<Cached, StoreError> {
-        plan::look_up(self.site.store, &self.history, &self.shape.graph.stages[stage], key)
+        let run = self.journal.run();
+        let _held = if run.is_some() { self.site.store.hold()? } else { None };
+        let cached = plan::look_up(self.site.store, &self.history, &self.shape.graph.stages[stage], key)?;
+        if let (Some(run), Cached::Yes(_)) = (run, &cached) {
+            run.rely_on([*key], [])?;
+        }
+        Ok(cached)
     }
 
     fn take_why(&mut self, stage: StageIndex) -> Result<Vec<Reason>, StoreError> {

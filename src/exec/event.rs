@@ -71,8 +71,11 @@ pub enum Event {
         /// The stage that failed.
         because: StageIndex,
     },
-    /// The run was asked to stop; running stages are being stopped.
-    Stopping,
+    /// The run was asked to stop, or its time is over; running stages are being stopped.
+    Stopping {
+        /// True where its time is over.
+        out_of_time: bool,
+    },
     /// A stage stopped cleanly on request, and will go on from its checkpoint.
     Stopped {
         /// Which.
@@ -98,6 +101,8 @@ pub struct Outcome {
     pub skipped: usize,
     /// Stages that were stopped or never started because the run was asked to stop.
     pub stopped: usize,
+    /// True where the run stopped because its time was over.
+    pub out_of_time: bool,
     /// Wall time.
     pub took: Duration,
 }

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
-use super::{Event, Outcome};
+use super::{Event, Options, Outcome};
 use crate::resolve::{Graph, StageIndex};
 use crate::store::{Fingerprint, Key, Run, Store, StoreError};
 
@@ -43,24 +43,26 @@ impl<'a, 's> Journal<'a, 's> {
 
     /// The run's folder. It is made when the first stage starts: a run with nothing to do leaves no trace. `done` are the
     /// stages that were told to be cached until then.
-    pub fn open<'k>(
+    pub fn open(
         &mut self,
         store: &Store,
-        threads: usize,
-        done: impl Iterator<Item = (StageIndex, &'k Key)>,
+        options: &Options,
+        done: &[(StageIndex, &Key)],
     ) -> Result<Arc<Run>, StoreError> {
-        if let Some(run) = &self.run {
-            return Ok(Arc::clone(run));
-        }
+        let threads = options.threads.max(1);
         let stages = self.graph.stages.node_count();
-        let run = Arc::new(store.begin_run(&json!({
+        let mut manifest = json!({
             "version": 1, "pipeline": self.graph.pipeline, "profile": self.graph.profile, "stages": stages,
             "fingerprint": Fingerprint::current(),
-        }))?);
+        });
+        for (name, value) in &options.about {
+            manifest[name] = value.clone();
+        }
+        let run = Arc::new(store.begin_run(&manifest)?);
         self.run = Some(Arc::clone(&run));
         self.note(&Event::Started { stages, threads });
         for (stage, key) in done {
-            self.note(&Event::Cached { stage, key: *key });
+            self.note(&Event::Cached { stage: *stage, key: **key });
         }
         Ok(run)
     }
@@ -114,7 +116,7 @@ fn line(graph: &Graph, event: &Event) -> Option<Value> {
         Event::Skipped { stage, because } => {
             json!({ "event": "skipped", "stage": id(stage), "because": id(because) })
         }
-        Event::Stopping => json!({ "event": "stopping" }),
+        Event::Stopping { out_of_time } => json!({ "event": "stopping", "out_of_time": out_of_time }),
         Event::Stopped { stage } => json!({ "event": "stopped", "stage": id(stage) }),
         Event::Finished { outcome } => json!({
             "event": "run-finished", "cached": outcome.cached, "ran": outcome.ran, "failed": outcome.failed,

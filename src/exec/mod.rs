@@ -1,5 +1,6 @@
 //! Runs a plan: one dispatcher owns the state, stages run in child processes, their outputs are published to the store.
 
+mod check;
 mod child;
 mod dispatch;
 mod event;
@@ -17,15 +18,17 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
+pub use check::{Again, check};
 pub use child::ChildRunner;
 pub use event::{Event, Outcome};
 pub use inline::InlineRunner;
 pub use runner::{Exit, Launch, Runner};
 pub use stage::{EXIT_STOPPED, run_stage};
 
+use crate::fsx::Lock;
 use crate::plan::{Plan, Verdict};
 use crate::resolve::StageIndex;
-use crate::store::{Outputs, Store, StoreError};
+use crate::store::{Key, Outputs, Run, Store, StoreError};
 
 /// How a plan is executed. None of it changes a result.
 #[derive(Clone, Debug)]
@@ -38,12 +41,23 @@ pub struct Options {
     pub keep_going: bool,
     /// How long a stage that was asked to stop may take before it is killed.
     pub grace: Duration,
+    /// When to stop, as if somebody had asked.
+    pub deadline: Option<Instant>,
+    /// What the run's folder notes of where the plan comes from: fields for its manifest.
+    pub about: serde_json::Map<String, serde_json::Value>,
 }
 
 impl Default for Options {
     fn default() -> Self {
         let threads = std::thread::available_parallelism().map_or(1, usize::from);
-        Self { threads, checkpoint_seconds: 120.0, keep_going: true, grace: Duration::from_secs(20) }
+        Self {
+            threads,
+            checkpoint_seconds: 120.0,
+            keep_going: true,
+            grace: Duration::from_secs(20),
+            deadline: None,
+            about: serde_json::Map::new(),
+        }
     }
 }
 
@@ -56,6 +70,17 @@ pub struct Executed {
     pub outputs: Vec<Option<Arc<Outputs>>>,
     /// The run's folder with its manifest, events and logs; `None` where nothing had to run.
     pub folder: Option<PathBuf>,
+    /// The key of each stage that is done, by node index.
+    pub keys: Vec<Option<Key>>,
+    /// Keeps the outputs from being removed as long as this is there.
+    pub(crate) _kept: Kept,
+}
+
+/// What keeps the outputs of a run from being removed: its note of what it relies on, or (where nothing ran) the lock.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Kept {
+    _run: Option<Arc<Run>>,
+    _held: Option<Arc<Lock>>,
 }
 
 impl Executed {
@@ -97,11 +122,11 @@ pub fn execute(
 ) -> Result<Executed, ExecError> {
     let began = Instant::now();
     check_workers(&plan, runner)?;
-    let Plan { graph, steps, files, order, history } = plan;
+    let Plan { graph, steps, files, order, history, held, .. } = plan;
     let halt = AtomicBool::new(false);
     let site = work::Site { store, runner, options, halt: &halt };
     let shape = dispatch::Shape { graph, files: &files, order: &order };
-    let mut dispatcher = dispatch::Dispatcher::new(shape, history, site, began, sink);
+    let mut dispatcher = dispatch::Dispatcher::new(shape, (history, held), site, began, sink);
     std::thread::scope(|scope| {
         let (sender, receiver) = mpsc::sync_channel(256);
         let result = dispatcher.run(steps, &receiver, stop, &mut |task| {

@@ -56,6 +56,20 @@ impl Ready {
     }
 }
 
+impl Ready {
+    /// Takes the first of the next `depth` stages that `fits`; the others stay.
+    pub fn take_first(&mut self, depth: usize, fits: impl Fn(StageIndex) -> bool) -> Option<StageIndex> {
+        let mut passed = Vec::new();
+        let mut found = None;
+        while found.is_none() && passed.len() < depth {
+            let Some(entry) = self.0.pop() else { break };
+            if fits(entry.stage) { found = Some(entry.stage) } else { passed.push(entry) }
+        }
+        self.0.extend(passed);
+        found
+    }
+}
+
 /// Stages whose key another process holds, each with the time of its next try.
 #[derive(Debug, Default)]
 pub(super) struct Elsewhere(Vec<Try>);

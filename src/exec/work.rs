@@ -10,12 +10,15 @@ use std::time::{Duration, Instant};
 use dril_stage_api::{Job, JobInput, JobOutput, Message, Ports, Seed};
 
 use super::Options;
+use super::check::Again;
 use super::dispatch::{Shape, log_stem};
 use super::runner::{Exit, Launch, Runner};
 use crate::fsx::{self, Entry, FsError, Lock};
 use crate::plan::{self, OutsideFile};
 use crate::resolve::{self, Source, StageIndex, StageInstance};
-use crate::store::{Blob, Fingerprint, Key, Outputs, RECORD_VERSION, Record, Run, Store, StoreError, Stored};
+use crate::store::{
+    self, Blob, Fingerprint, Key, Outputs, RECORD_VERSION, Record, Run, Store, StoreError, Stored,
+};
 
 /// What all stages of a run share.
 #[derive(Clone, Copy)]
@@ -91,11 +94,6 @@ impl<'a> Task<'a> {
     ) -> Self {
         let node = &shape.graph.stages[stage];
         let folder = run.temporary().join(key.hex());
-        let outside =
-            node.inputs.iter().flat_map(|wire| &wire.sources).filter_map(|source| match &source.from {
-                resolve::From::File { path, .. } => shape.files.get(path),
-                resolve::From::Stage { .. } => None,
-            });
         Self {
             log: run.log(&log_stem(shape.graph, stage, Some(&key))),
             job: job(node, &key, &folder, done, shape, site),
@@ -103,7 +101,7 @@ impl<'a> Task<'a> {
             ports: &node.ports,
             worker: node.kind.worker(),
             threads: node.needs.threads.max(1),
-            files: outside.collect(),
+            files: outside(node, shape).collect(),
             stage,
             key,
             lock,
@@ -139,6 +137,8 @@ impl<'a> Task<'a> {
         hear: &mut dyn FnMut(Message),
     ) -> Result<(Vec<Blob>, Duration), Failure> {
         for file in &self.files {
+            let _held = site.store.hold()?;
+            self.run.rely_on([], [file.digest])?;
             site.store.import(&file.path, &file.digest, &self.run)?;
         }
         fsx::create_dir(&self.folder)?;
@@ -156,12 +156,7 @@ impl<'a> Task<'a> {
             grace: site.options.grace,
         };
         let began = Instant::now();
-        match site.runner.run(&launch, hear) {
-            Ok(Exit::Done) => {}
-            Ok(Exit::Stopped) => return Err(Failure::Stopped),
-            Ok(Exit::Failed(error)) => return Err(Failure::Failed(error)),
-            Err(error) => return Err(Failure::Failed(error.to_string())),
-        }
+        ended(site.runner.run(&launch, hear))?;
         let took = began.elapsed();
         self.record.seconds = took.as_secs_f64();
         Ok((self.take_outputs(site.store)?, took))
@@ -176,8 +171,11 @@ impl<'a> Task<'a> {
             paths.push(path);
         }
         let mut blobs = Vec::with_capacity(paths.len());
+        // Until its record is there, nothing else says that a content is needed.
+        let _held = store.hold()?;
         for (output, path) in self.ports.outputs.iter().zip(paths) {
             let blob = store.take(&path)?;
+            self.run.rely_on([], [blob.digest])?;
             let stored =
                 Stored { digest: blob.digest, bytes: blob.bytes, extension: output.extension.to_owned() };
             self.record.outputs.insert(output.name.to_owned(), stored);
@@ -190,6 +188,93 @@ impl<'a> Task<'a> {
         store.commit(&self.key, &self.record, blobs, &self.folder)?;
         store.clear_checkpoints(&self.key)
     }
+}
+
+/// Runs a stage whose result is there once more, beside it, and compares.
+pub(super) fn again(
+    stage: StageIndex,
+    key: &Key,
+    run: &Run,
+    log: &Path,
+    shape: Shape<'_>,
+    done: &[Option<Arc<Outputs>>],
+    site: Site<'_>,
+) -> Again {
+    let folder = run.temporary().join(key.hex());
+    let came = run_again(stage, key, run, (&folder, log), shape, done, site);
+    let _ = fsx::remove_dir_all(&folder);
+    match came {
+        Ok(again) => again,
+        Err(Failure::Stopped) => Again::Stopped,
+        Err(Failure::Failed(error)) => Again::Failed(error),
+    }
+}
+
+fn run_again(
+    stage: StageIndex,
+    key: &Key,
+    run: &Run,
+    (folder, log): (&Path, &Path),
+    shape: Shape<'_>,
+    done: &[Option<Arc<Outputs>>],
+    site: Site<'_>,
+) -> Result<Again, Failure> {
+    let node = &shape.graph.stages[stage];
+    let Some(outputs) = &done[stage.index()] else { return Ok(Again::Same) };
+    for file in outside(node, shape) {
+        site.store.import(&file.path, &file.digest, run)?;
+    }
+    fsx::create_dir(folder)?;
+    fsx::create_dir(&outputs_folder(folder))?;
+    let mut job = job(node, key, folder, done, shape, site);
+    // A place of its own: what the first run left must not help the second.
+    job.checkpoints = folder.join("again").join("files");
+    let job_file = folder.join("job.json");
+    fsx::write(&job_file, &serde_json::to_vec(&job).map_err(|error| Failure::Failed(error.to_string()))?)?;
+    let launch = Launch {
+        job: &job_file,
+        log,
+        folder,
+        worker: node.kind.worker(),
+        threads: node.needs.threads.max(1),
+        stop: site.halt,
+        grace: site.options.grace,
+    };
+    ended(site.runner.run(&launch, &mut |_| {}))?;
+    for output in &node.ports.outputs {
+        let path = output_path(folder, output.name, output.extension);
+        check_output(output.name, &path)?;
+        let Some(stored) = outputs.get(output.name) else { continue };
+        if store::hash_file(&path)?.0 != stored.digest {
+            let at = fsx::first_difference(&path, &site.store.blob_path(&stored.digest))?;
+            let kept = run.folder().join("differs").join(format!(
+                "{}-{}.{}",
+                key.short(),
+                output.name,
+                output.extension
+            ));
+            fsx::rename_into(&path, &kept)?;
+            return Ok(Again::Differs { output: output.name.to_owned(), at, path: kept });
+        }
+    }
+    Ok(Again::Same)
+}
+
+fn ended(exit: std::io::Result<Exit>) -> Result<(), Failure> {
+    match exit {
+        Ok(Exit::Done) => Ok(()),
+        Ok(Exit::Stopped) => Err(Failure::Stopped),
+        Ok(Exit::Failed(error)) => Err(Failure::Failed(error)),
+        Err(error) => Err(Failure::Failed(error.to_string())),
+    }
+}
+
+/// The files from outside that a stage reads.
+fn outside<'a>(node: &'a StageInstance, shape: Shape<'a>) -> impl Iterator<Item = &'a OutsideFile> {
+    node.inputs.iter().flat_map(|wire| &wire.sources).filter_map(move |source| match &source.from {
+        resolve::From::File { path, .. } => shape.files.get(path),
+        resolve::From::Stage { .. } => None,
+    })
 }
 
 fn job(

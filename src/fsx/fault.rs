@@ -1,5 +1,5 @@
-//! The steps at which the engine touches the disk, for tests: they can be listed, and the process can be made to die at
-//! any of them. In release builds there is nothing here.
+//! The steps at which the engine touches the disk, for tests: they can be listed, the process can be made to die at any
+//! of them, and the disk can be made to be full from any of them on. In release builds there is nothing here.
 
 #[cfg(debug_assertions)]
 mod armed {
@@ -7,14 +7,23 @@ mod armed {
     use std::sync::Mutex;
     use std::sync::atomic::{AtomicU64, Ordering};
 
+    use crate::fsx::{FsError, Result};
+
     /// Steps still to pass; 0 is "not armed".
     static LEFT: AtomicU64 = AtomicU64::new(0);
+    /// Steps until the disk is full; 0 is "never", 1 is "full".
+    static ROOM: AtomicU64 = AtomicU64::new(0);
     /// The steps since [`watch`].
     static SEEN: Mutex<Option<Vec<(&'static str, PathBuf)>>> = Mutex::new(None);
 
     /// Kills this process, as `kill -9` would, when it comes to the `nth` step (from 1).
     pub fn arm(nth: u64) {
         LEFT.store(nth, Ordering::SeqCst);
+    }
+
+    /// From the `nth` step (from 1) on, writing finds the disk full. What needs no room goes on working.
+    pub fn fill(nth: u64) {
+        ROOM.store(nth, Ordering::SeqCst);
     }
 
     /// Begins to list steps.
@@ -30,7 +39,7 @@ mod armed {
         seen.into_iter().filter(|(_, path)| path.starts_with(root)).collect()
     }
 
-    pub(in crate::fsx) fn step(what: &'static str, path: &Path) {
+    pub(in crate::fsx) fn step(what: &'static str, path: &Path) -> Result<()> {
         if let Ok(mut seen) = SEEN.lock()
             && let Some(seen) = seen.as_mut()
         {
@@ -41,15 +50,22 @@ mod armed {
             let _ = rustix::process::kill_process(rustix::process::getpid(), rustix::process::Signal::KILL);
             std::process::abort();
         }
+        let room = ROOM.fetch_update(Ordering::SeqCst, Ordering::SeqCst, |room| (room > 1).then(|| room - 1));
+        if room == Err(1) && ["append", "make", "write", "half", "sync"].contains(&what) {
+            return Err(FsError::at("write", path)(rustix::io::Errno::NOSPC.into()));
+        }
+        Ok(())
     }
 }
 
 #[cfg(debug_assertions)]
 pub(super) use armed::step;
 #[cfg(debug_assertions)]
-pub use armed::{arm, seen, watch};
+pub use armed::{arm, fill, seen, watch};
 
 /// A step that touches the disk.
 #[cfg(not(debug_assertions))]
 #[inline(always)]
-pub(super) fn step(_: &'static str, _: &std::path::Path) {}
+pub(super) fn step(_: &'static str, _: &std::path::Path) -> super::Result<()> {
+    Ok(())
+}

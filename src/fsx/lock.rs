@@ -45,6 +45,30 @@ impl Lock {
         }
     }
 
+    /// Shares the lock on `path` with others that do so too, waiting while somebody has it alone; `None` where there is
+    /// no such file.
+    ///
+    /// # Errors
+    /// The file is there and cannot be opened, or the file system knows no locks.
+    pub fn shared(path: &Path) -> Result<Option<Self>> {
+        let Some(file) = super::if_there("open the lock", path, File::open(path))? else { return Ok(None) };
+        file.lock_shared().map_err(FsError::at("lock", path))?;
+        Ok(Some(Self { file, path: path.to_owned() }))
+    }
+
+    /// True while somebody holds the lock on `path`. Makes no file.
+    ///
+    /// # Errors
+    /// The file is there and cannot be opened, or the file system knows no locks.
+    pub fn is_held(path: &Path) -> Result<bool> {
+        let Some(file) = super::if_there("open the lock", path, File::open(path))? else { return Ok(false) };
+        match file.try_lock_shared() {
+            Ok(()) => Ok(false),
+            Err(TryLockError::WouldBlock) => Ok(true),
+            Err(TryLockError::Error(error)) => Err(FsError::at("lock", path)(error)),
+        }
+    }
+
     /// Gives the lock up and removes its file, so that locks do not pile up. Whoever waits for it makes a new one.
     ///
     /// # Errors
@@ -92,7 +116,9 @@ mod tests {
         let path = folder.path().join("lock");
         let first = Lock::try_acquire(&path).unwrap().unwrap();
         assert!(Lock::try_acquire(&path).unwrap().is_none());
+        assert!(Lock::is_held(&path).unwrap() && !Lock::is_held(&folder.path().join("none")).unwrap());
         drop(first);
+        assert!(!Lock::is_held(&path).unwrap());
         assert!(Lock::try_acquire(&path).unwrap().is_some());
     }
 

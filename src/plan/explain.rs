@@ -37,7 +37,47 @@ pub fn differences(
     }
     for gone in then.inputs.iter().filter(|input| stage.inputs.iter().all(|wire| wire.port != input.port)) {
         let items = gone.items.iter();
-        found.extend(items.map(|item| Reason::Input { port: gone.port.clone(), from: item.from.clone() }));
+        found.extend(items.map(|item| gone_item(&gone.port, item)));
+    }
+    found
+}
+
+fn gone_item(port: &str, item: &RecordItem) -> Reason {
+    Reason::Input { port: port.to_owned(), from: item.from.clone(), old: Some(item.digest), new: None }
+}
+
+/// What differs between two records, as reasons for the later one; empty where both say the same of their making.
+pub fn compare(then: &Record, now: &Record) -> Vec<Reason> {
+    let mut found = Vec::new();
+    if then.kind != now.kind {
+        found.push(Reason::Kind { old: then.kind.clone(), new: now.kind.clone() });
+    } else if then.revision != now.revision {
+        found.push(Reason::Revision { old: then.revision, new: now.revision });
+    }
+    if then.seed != now.seed {
+        found.push(Reason::Seed { old: then.seed, new: now.seed });
+    }
+    params("", Some(&then.params), Some(&now.params), &mut found);
+    let none = Vec::new();
+    let items = |record: &'_ Record, port: &str| {
+        record.inputs.iter().find(|input| input.port == port).map(|input| input.items.clone())
+    };
+    let mut ports: Vec<&str> =
+        then.inputs.iter().chain(&now.inputs).map(|input| input.port.as_str()).collect();
+    ports.sort_unstable();
+    ports.dedup();
+    for port in ports {
+        let before = items(then, port).unwrap_or_else(|| none.clone());
+        let after = items(now, port).unwrap_or_else(|| none.clone());
+        for item in &after {
+            let old = before.iter().find(|other| other.labels == item.labels).map(|other| other.digest);
+            if old != Some(item.digest) {
+                let (port, from) = (port.to_owned(), item.from.clone());
+                found.push(Reason::Input { port, from, old, new: Some(item.digest) });
+            }
+        }
+        let gone = before.iter().filter(|item| after.iter().all(|other| other.labels != item.labels));
+        found.extend(gone.map(|item| gone_item(port, item)));
     }
     found
 }
@@ -79,27 +119,31 @@ impl Known<'_> {
     /// in the middle is not told as a change of all behind it.
     fn input(&self, wire: &Wire, before: Option<&RecordInput>, found: &mut Vec<Reason>) {
         let before: &[RecordItem] = before.map_or(&[], |input| &input.items);
-        let mut reason = |from| found.push(Reason::Input { port: wire.port.to_owned(), from });
+        let mut reason = |from, old, new| {
+            found.push(Reason::Input { port: wire.port.to_owned(), from, old, new });
+        };
         let mut changed = false;
         for source in &wire.sources {
             let Some(digest) = lookup::digest_of(source, self.done, self.files) else {
                 changed = true;
                 continue;
             };
-            if !before.iter().any(|item| item.digest == digest && same_place(wire, source, item)) {
+            let place = |item: &&RecordItem| same_place(wire, source, item);
+            if !before.iter().filter(place).any(|item| item.digest == digest) {
                 changed = true;
-                reason(lookup::origin(self.graph, source));
+                let old = before.iter().find(place).map(|item| item.digest);
+                reason(lookup::origin(self.graph, source), old, Some(digest));
             }
         }
         for item in before {
             if !wire.sources.iter().any(|source| same_place(wire, source, item)) {
                 changed = true;
-                reason(item.from.clone());
+                reason(item.from.clone(), Some(item.digest), None);
             }
         }
         let count = wire.sources.len();
         if !changed && (count != before.len() || wire.many && self.reordered(wire, before)) {
-            reason(format!("the order or number of its {count} artifacts"));
+            reason(format!("the order or number of its {count} artifacts"), None, None);
         }
     }
 

@@ -1,6 +1,8 @@
 //! From a graph and a store to a plan: every stage's key where it can be known, and what would run, and why.
 //! Reads records, runs nothing, writes nothing.
 
+mod cause;
+mod estimate;
 mod explain;
 mod key;
 mod lookup;
@@ -10,12 +12,15 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+pub use cause::{Cause, Explanation, explain};
+pub use estimate::Estimates;
+pub use explain::compare;
 pub use key::{NoKey, Work, WorkInput, key_of_record};
 pub(crate) use lookup::{Cached, digest_of, key_of, look_up, record_inputs};
 pub use order::Order;
 use serde::Serialize;
 
-use crate::fsx::FsError;
+use crate::fsx::{FsError, Lock};
 use crate::resolve::{From, Graph, StageIndex, StageInstance};
 use crate::store::{self, Digest, History, Key, Outputs, Store, StoreError};
 
@@ -30,6 +35,10 @@ pub struct Plan<'g> {
     pub files: BTreeMap<String, OutsideFile>,
     pub(crate) order: Order,
     pub(crate) history: History,
+    /// Where each stage stands in `steps`.
+    position: Vec<usize>,
+    /// Keeps what the plan found from being removed, as long as the plan is there.
+    pub(crate) held: Option<Lock>,
 }
 
 /// A file from outside, as it was when the plan was made.
@@ -142,6 +151,12 @@ pub enum Reason {
         port: String,
         /// What is wired there: stage and output, or file.
         from: String,
+        /// The content then; `None` where nothing stood in its place.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        old: Option<Digest>,
+        /// The content now; `None` where nothing stands in its place, or it is not made yet.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        new: Option<Digest>,
     },
     /// The record is there, but a file that it names is not, or not in full.
     Lost {
@@ -163,10 +178,15 @@ pub fn plan<'g>(graph: &'g Graph, store: &Store, base: &Path) -> Result<Plan<'g>
     let files = outside_files(graph, base)?;
     let order =
         Order::of(graph).map_err(|stage| PlanError::Cycle(graph.stages[stage].id.as_ref().to_owned()))?;
+    let held = store.hold()?;
     let history = store.history(&graph.pipeline, &graph.profile)?;
     let planner = Planner { graph, store, files: &files, history: &history };
     let steps = planner.steps(&order)?;
-    Ok(Plan { graph, steps, files, order, history })
+    let mut position = vec![0; steps.len()];
+    for (at, (index, _)) in steps.iter().enumerate() {
+        position[index.index()] = at;
+    }
+    Ok(Plan { graph, steps, files, order, history, position, held })
 }
 
 struct Planner<'a> {

@@ -56,10 +56,15 @@ impl Order {
         let mut costs = vec![0.0_f64; self.feeders.len()];
         for &stage in self.topological.iter().rev() {
             let behind = self.readers(stage).iter().map(|reader| costs[reader.index()]).fold(0.0, f64::max);
-            let own = graph.stages[stage].needs.cost;
-            costs[stage.index()] = behind + if own.is_finite() { own.max(0.0) } else { 0.0 };
+            costs[stage.index()] = behind + self.own_cost(graph, stage);
         }
         costs
+    }
+
+    /// The cost of a stage itself, a number that is not negative.
+    pub fn own_cost(&self, graph: &Graph, stage: StageIndex) -> f64 {
+        let own = graph.stages[stage].needs.cost;
+        if own.is_finite() { own.max(0.0) } else { 0.0 }
     }
 
     fn sort(&mut self) -> Result<(), StageIndex> {

@@ -69,6 +69,7 @@ fn node(stage: &Expanded<'_>, number: usize, instance: Instance, wires: Wires) -
         params: instance.params,
         seed: instance.seed,
         needs: instance.needs,
+        limits: stage.stage.limits,
         ports: instance.ports,
         inputs: wires.into_iter().map(|(wire, _)| wire).collect(),
     })

@@ -6,6 +6,8 @@ use dril_stage_api::{Kind, Labels, Needs, Ports, Seed};
 use petgraph::graph::{DiGraph, NodeIndex};
 use serde_json::Value;
 
+use crate::spec::Limits;
+
 /// The index of a stage instance in its graph.
 pub type StageIndex = NodeIndex<u32>;
 
@@ -37,6 +39,8 @@ pub struct StageInstance {
     pub seed: Option<Seed>,
     /// What it takes of the machine.
     pub needs: Needs,
+    /// How long and how much it may take, and how often it is tried; never part of the key.
+    pub limits: Limits,
     /// Its ports under these parameters.
     pub ports: Ports,
     /// What is wired to each input, in the order of the ports. Unconnected optional inputs are absent.

@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use super::SourceName;
 use super::layer::{self, Known};
+use super::limits;
 use super::model::{Defaults, Entries, Layer, MatrixAxis, Profile, Spec, Stage};
 use super::names;
 use super::node::{Key, Node, UNUSABLE, Value};
@@ -16,7 +17,8 @@ use super::source::{Source, Span};
 use super::suggest;
 
 const TOP: [&str; 7] = ["name", "seed", "params", "axes", "defaults", "stages", "profiles"];
-const STAGE: [&str; 6] = ["kind", "about", "matrix", "seed", "with", "inputs"];
+const STAGE: [&str; 9] =
+    ["kind", "about", "matrix", "seed", "with", "inputs", "retries", "timeout", "memory"];
 
 /// Decodes the whole file.
 pub(super) fn spec(root: Node, name: SourceName, source: Arc<Source>, mut problems: Problems) -> Spec {
@@ -202,9 +204,11 @@ fn stage(name: Key, node: Node, problems: &mut Problems) -> Option<Stage> {
     let matrix = fields.take("matrix").map(|(_, node)| matrix(node, problems)).unwrap_or_default();
     let inputs =
         fields.take("inputs").map(|(_, node)| entries(node, "`inputs`", problems)).unwrap_or_default();
+    let (retries, timeout, memory) = (fields.take("retries"), fields.take("timeout"), fields.take("memory"));
+    let limits = limits::limits(retries, timeout, memory, problems);
     let mut optional = |field: &str| fields.take(field).map(|(key, node)| placed(key, node));
     let (seed, with) = (optional("seed"), optional("with"));
-    Some(Stage { name, kind, matrix, seed, with, inputs })
+    Some(Stage { name, kind, matrix, seed, with, inputs, limits })
 }
 
 /// The node; where nothing is written, it stands where its key does.

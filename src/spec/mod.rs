@@ -9,6 +9,7 @@
 mod decode;
 mod diagnostic;
 pub(crate) mod layer;
+pub(crate) mod limits;
 pub(crate) mod model;
 pub(crate) mod names;
 pub(crate) mod node;
@@ -22,6 +23,7 @@ pub(crate) mod yaml;
 use std::sync::Arc;
 
 pub use diagnostic::{Diagnostic, Diagnostics, Place};
+pub use limits::Limits;
 pub use model::Spec;
 
 use node::Value;

@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use super::SourceName;
+use super::limits::Limits;
 use super::node::{Key, Node};
 use super::problem::Problems;
 use super::source::Source;
@@ -82,6 +83,7 @@ pub(crate) struct Stage {
     pub seed: Option<Node>,
     pub with: Option<Node>,
     pub inputs: Vec<(Key, Node)>,
+    pub limits: Limits,
 }
 
 /// An axis of a stage's matrix.

@@ -7,7 +7,7 @@
 
 use std::borrow::Cow;
 use std::collections::HashMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
@@ -61,7 +61,27 @@ impl Store {
     }
 }
 
+impl Store {
+    /// The latest key of every stage in a history file; lines that cannot be read are passed over.
+    pub(super) fn current_keys(&self, path: &Path) -> Result<Vec<Key>, StoreError> {
+        let bytes = fsx::read_if_there(path)?.unwrap_or_default();
+        let mut current: HashMap<String, Key> = HashMap::new();
+        for line in bytes.split(|byte| *byte == b'\n').filter(|line| !line.is_empty()) {
+            if let Ok(line) = serde_json::from_slice::<Line<'_>>(line) {
+                current.insert(line.stage.into_owned(), line.key);
+            }
+        }
+        Ok(current.into_values().collect())
+    }
+}
+
 impl History {
+    /// Notes that what is current here was used now: what is collected first is what was used longest ago. Nothing
+    /// depends on it, so a store that can only be read is no error.
+    pub fn touch(&self) {
+        let _ = fsx::touch(&self.path);
+    }
+
     /// The keys that a stage had, the latest first.
     pub fn earlier(&self, stage: &str) -> impl Iterator<Item = &Key> {
         self.stages.get(stage).into_iter().flatten().rev()
@@ -173,6 +193,30 @@ mod tests {
         assert_eq!(read.earlier("b").count(), 0);
         assert!(read.outputs(&key(2)).is_some());
         assert_eq!(store.history("p", "other").unwrap().lines, 0);
+    }
+
+    #[test]
+    fn a_history_of_version_1_is_read_and_written_for_ever() {
+        let golden = include_str!("../../tests/golden/history-v1.jsonl");
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).unwrap();
+        let mut written = store.history("p", "q").unwrap();
+        fsx::create_dir_all(written.path.parent().unwrap()).unwrap();
+        fsx::write(&written.path, golden.as_bytes()).unwrap();
+        let read = store.history("p", "q").unwrap();
+        assert_eq!(read.lines, 3);
+        assert_eq!(read.earlier("clone[policy=beta]").copied().collect::<Vec<_>>(), [key(6), key(1)]);
+        let outputs = read.outputs(&key(3)).unwrap();
+        assert_eq!(
+            (outputs["csv"].bytes, outputs["md"].digest),
+            (u64::MAX, crate::store::Digest::new([5; 32]))
+        );
+        fsx::remove_file(&written.path).unwrap();
+        for (stage, number) in [("clone[policy=beta]", 1), ("table ü", 3), ("clone[policy=beta]", 6)] {
+            written.note(stage, key(number), read.outputs(&key(number)).unwrap()).unwrap();
+        }
+        written.flush().unwrap();
+        assert_eq!(fsx::read(&written.path).unwrap(), golden.as_bytes());
     }
 
     #[test]

@@ -2,18 +2,30 @@
 //! A record is written last, so a crash leaves garbage and never half a result. See `docs/design/store.md`.
 
 mod blob;
+mod bundle;
 mod digest;
 mod history;
+mod in_use;
+mod past;
 mod record;
 mod run;
+mod sweep;
+mod usage;
+mod verify;
 
 use std::path::{Path, PathBuf};
 
 pub use blob::{Blob, hash_file};
+pub use bundle::{Imported, Refusal};
 pub use digest::{Digest, Key, NotHex};
 pub use history::History;
+pub use in_use::InUse;
+pub use past::{Fate, PastRun, RunEnd, StageOfRun};
 pub use record::{Fingerprint, Outputs, RECORD_VERSION, Record, RecordInput, RecordItem, Stored};
 pub use run::Run;
+pub use sweep::{Sweep, Swept};
+pub use usage::Usage;
+pub use verify::{Damage, Verified};
 
 use crate::fsx::{self, Entry, FsError, Lock};
 
@@ -35,10 +47,19 @@ pub enum StoreError {
         /// The system's answer.
         source: std::io::Error,
     },
+    /// The store's path is no text, so that no job file could name what is in it.
+    #[error("the path of the store, `{}`, is not UTF-8, expected one that can be written into job files", .0.display())]
+    NotText(PathBuf),
+    /// Something that was asked for as a whole is not there as a whole.
+    #[error("{0}")]
+    NotWhole(String),
     /// A file from outside is not what it was when the run was planned.
     #[error("`{}` was changed after the run was planned; run again", .0.display())]
     Changed(PathBuf),
 }
+
+/// How the key of a record is computed; above this module, since it is the planner's.
+pub type KeyOf = fn(&Record) -> Option<Key>;
 
 /// What the store has under a key.
 #[derive(Clone, Debug, PartialEq)]

@@ -26,6 +26,9 @@ impl Store {
     /// # Errors
     /// The store cannot be written.
     pub fn begin_run(&self, manifest: &Value) -> Result<Run, StoreError> {
+        if self.root().to_str().is_none() {
+            return Err(StoreError::NotText(self.root().to_owned()));
+        }
         for folder in FOLDERS {
             fsx::create_dir_all(&self.root().join(folder))?;
         }
@@ -42,6 +45,8 @@ impl Store {
         let lock = Lock::try_acquire(&lock_path(&temporary))?;
         fsx::create_dir(&temporary)?;
         drop(gate);
+        // Made by taking it shared: whoever removes things has it alone, and waits for nobody who never took it.
+        fsx::open_append(&self.root().join("gc.lock"))?;
         Ok(Run { folder, temporary, lock })
     }
 }
@@ -95,7 +100,7 @@ fn lock_path(temporary: &Path) -> PathBuf {
 
 /// Removes private folders whose owner is dead. Another user's, or one into which a dying stage still writes, may
 /// refuse; the next run tries again.
-fn remove_dead(tmp: &Path) {
+pub(super) fn remove_dead(tmp: &Path) {
     let Ok(entries) = fsx::list(tmp) else { return };
     for path in entries {
         let owner = if path.extension().is_some_and(|ending| ending == "lock") {
@@ -123,8 +128,28 @@ fn run_id(since_1970: std::time::Duration, process: u32) -> String {
     format!("{year:04}{month:02}{day:02}-{hour:02}{minute:02}{second:02}-{nanos:09}-{process}")
 }
 
+/// The time since 1970 in a name of [`run_id`]; `None` for any other text.
+pub(super) fn begun_at(id: &str) -> Option<std::time::Duration> {
+    let mut parts = id.split('-');
+    let (date, time, nanos, process) = (parts.next()?, parts.next()?, parts.next()?, parts.next()?);
+    let digits = |text: &str, length| text.len() == length && text.bytes().all(|byte| byte.is_ascii_digit());
+    if !digits(date, 8) || !digits(time, 6) || !digits(nanos, 9) || !digits(process, process.len().max(1)) {
+        return None;
+    }
+    let number = |text: &str| text.parse::<u64>().ok();
+    let (year, month, day) = (number(&date[..4])?, number(&date[4..6])?, number(&date[6..])?);
+    let (hour, minute, second) = (number(&time[..2])?, number(&time[2..4])?, number(&time[4..])?);
+    let shifted = if month > 2 { year } else { year.checked_sub(1)? };
+    let (era, year_of_era) = (shifted / 400, shifted % 400);
+    let day_of_year = (153 * ((month + 9) % 12) + 2) / 5 + day.checked_sub(1)?;
+    let days = (era * 146_097 + year_of_era * 365 + year_of_era / 4 - year_of_era / 100 + day_of_year)
+        .checked_sub(719_468)?;
+    let seconds = days * 86_400 + hour * 3600 + minute * 60 + second;
+    Some(std::time::Duration::new(seconds, u32::try_from(number(nanos)?).ok()?))
+}
+
 /// Year, month and day of a day counted from 1970-01-01 (H. Hinnant, "chrono-compatible low-level date algorithms").
-fn civil(days: u64) -> (u64, u64, u64) {
+pub(super) fn civil(days: u64) -> (u64, u64, u64) {
     let shifted = days + 719_468;
     let (era, day_of_era) = (shifted / 146_097, shifted % 146_097);
     let year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
@@ -151,6 +176,10 @@ mod tests {
         ] {
             let id = run_id(Duration::from_secs(seconds), 7);
             assert!(id.starts_with(start), "{id}");
+            assert_eq!(begun_at(&id), Some(Duration::from_secs(seconds)), "{id}");
+        }
+        for wrong in ["", "last", "20260101", "2026xx01-000000-000000000-1", "20260101-000000-000000000-"] {
+            assert_eq!(begun_at(wrong), None, "{wrong}");
         }
     }
 

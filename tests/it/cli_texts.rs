@@ -13,7 +13,7 @@ fn shown(sealed: &Sealed, args: &str) -> String {
 #[test]
 fn help_of_the_program_and_of_every_command() {
     let sealed = Sealed::new();
-    let pages = ["--help", "run --help", "plan --help", "graph --help", "kinds --help"];
+    let pages = ["--help", "run --help", "plan --help", "explain --help", "graph --help", "kinds --help"];
     assert_snapshot!(pages.map(|args| shown(&sealed, args)).join("\n"));
 }
 
@@ -98,7 +98,9 @@ fn the_manual_names_every_option_event_and_exit_code() {
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
     let manual = std::fs::read_to_string(root.join("docs/command-line.md")).unwrap();
     let sealed = Sealed::new();
-    for command in ["run", "plan", "graph", "kinds"] {
+    for command in
+        ["run", "plan", "explain", "status", "show", "log", "runs", "diff", "cache", "graph", "kinds"]
+    {
         assert!(manual.contains(&format!("## `{command}`")), "{command}");
         let help = sealed.run_ok(&format!("{command} --help"));
         let options = help.split_whitespace().filter(|word| word.starts_with("--") && word.len() > 2);

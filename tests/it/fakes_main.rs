@@ -1,7 +1,7 @@
 //! The program under test with the fakes as its stage kinds. Built as an example, so that it is never installed.
 //!
 //! `fakes __engine SCENARIO` runs a scenario without a pipeline file; with `DRIL_FAKES_CRASH_AT=N` it dies at the Nth step
-//! that touches the disk. With `DRIL_FAKES_KINDS=samples` it offers the kinds of `samples` instead.
+//! that touches the disk, with `DRIL_FAKES_FULL_AT=N` it finds the disk full from there on. With `DRIL_FAKES_KINDS=samples` it offers the kinds of `samples` instead.
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 mod fakes;
@@ -32,6 +32,10 @@ fn engine(file: &std::ffi::OsStr) -> ExitCode {
     if let Ok(nth) = std::env::var("DRIL_FAKES_CRASH_AT") {
         dril_pipe::fsx::fault::arm(nth.parse().unwrap());
     }
+    #[cfg(debug_assertions)]
+    if let Ok(nth) = std::env::var("DRIL_FAKES_FULL_AT") {
+        dril_pipe::fsx::fault::fill(nth.parse().unwrap());
+    }
     let scenario: scenario::Scenario = serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap();
     let store = Store::open(&scenario.store).unwrap();
     let graph = scenario::graph(&scenario.stages);
@@ -43,7 +47,13 @@ fn engine(file: &std::ffi::OsStr) -> ExitCode {
     };
     let runner = ChildRunner::this_program().unwrap();
     let stop = AtomicBool::new(false);
-    let executed =
-        exec::execute(plan, &store, &runner, &options, &stop, &mut |event| println!("{event:?}")).unwrap();
+    let executed = exec::execute(plan, &store, &runner, &options, &stop, &mut |event| println!("{event:?}"));
+    let executed = match executed {
+        Ok(executed) => executed,
+        Err(error) => {
+            println!("{error}");
+            return ExitCode::from(4);
+        }
+    };
     ExitCode::from(u8::from(!executed.outcome.is_complete()))
 }

@@ -196,7 +196,7 @@ fn reasons(why: &[Reason]) -> String {
             Reason::Seed { old, new } => format!("seed {old:?} -> {new:?}"),
             Reason::Revision { old, new } => format!("revision {old} -> {new}"),
             Reason::Kind { old, new } => format!("kind {old} -> {new}"),
-            Reason::Input { port, from } => format!("{port} from {from}"),
+            Reason::Input { port, from, .. } => format!("{port} from {from}"),
             Reason::Lost { output } => format!("lost {output}"),
             Reason::Damaged { .. } => "damaged".to_owned(),
         })

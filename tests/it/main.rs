@@ -10,11 +10,15 @@
 
 mod bad;
 mod cache;
+mod care;
 mod cli;
 mod cli_texts;
 mod crash;
+mod ends;
 mod exec_order;
 mod fakes;
+mod hostile;
+mod inspect;
 mod lab;
 mod parse;
 mod plan;

@@ -1,6 +1,7 @@
 //! What a plan says would run, and why.
 
 use dril_pipe::plan::{self, PlanError};
+use dril_pipe::store::Key;
 use serde_json::json;
 
 use crate::lab::Lab;
@@ -179,4 +180,24 @@ fn what_is_known_to_differ_is_told_before_the_inputs_are() {
     stages[0].with = json!({"text": "other"});
     stages[2].with = json!({"to": 7});
     assert_eq!(lab.verdicts(&stages)[2], "count: after north [to: 2 -> 7]");
+}
+
+#[test]
+fn a_revised_kind_is_named_as_the_reason() {
+    let lab = Lab::new();
+    lab.run(&pipeline()[..1]);
+    let history = lab.store.root().join("history-v1/scenario-default.jsonl");
+    let line = std::fs::read_to_string(&history).unwrap();
+    let key: Key =
+        serde_json::from_str::<serde_json::Value>(&line).unwrap()["key"].as_str().unwrap().parse().unwrap();
+    // What a program with an earlier revision of the kind would have left.
+    let mut record = lab.store.record(&key).unwrap().unwrap();
+    std::fs::remove_file(lab.store.record_path(&key)).unwrap();
+    record.revision = 0;
+    let old = plan::key_of_record(&record).unwrap();
+    let path = lab.store.record_path(&old);
+    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+    std::fs::write(&path, serde_json::to_vec(&record).unwrap()).unwrap();
+    std::fs::write(&history, line.replace(&key.hex(), &old.hex())).unwrap();
+    assert_eq!(lab.verdicts(&pipeline())[0], "north: run [revision 0 -> 1]");
 }

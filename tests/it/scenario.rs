@@ -89,6 +89,7 @@ pub fn graph(stages: &[StageLine]) -> Graph {
             kind,
             seed: kind.seeded().then_some(Seed(line.seed)),
             needs: kind.needs(&params).unwrap(),
+            limits: Default::default(),
             ports: kind.ports(&params).unwrap(),
             inputs: Vec::new(),
             params,

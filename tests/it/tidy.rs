@@ -235,16 +235,17 @@ fn parse_and_resolve_do_no_input_or_output() {
     let pure = ["spec", "resolve"];
     let words = ["std::io", "std::net", "std::process", "std::time", "std::thread", "Instant", "SystemTime"];
     let uses = uses(&words, &["cli", "error", "exec", "fsx", "lib", "plan", "store"]);
-    // How to say that a file could not be read is no reading.
-    let uses: Vec<String> = uses.into_iter().filter(|line| !line.contains("io::Error")).collect();
+    // How to say that a file could not be read is no reading, and a time that is written down asks no clock.
+    let is_value = |line: &String| line.contains("io::Error") || line.ends_with("use std::time::Duration;");
+    let uses: Vec<String> = uses.into_iter().filter(|line| !is_value(line)).collect();
     none(&uses, &format!("{} must stay pure", pure.join(" and ")));
 }
 
 #[test]
-fn one_file_reads_the_command_line() {
+fn one_place_reads_the_command_line() {
     let uses = uses(&["clap::"], &[]);
-    let others: Vec<String> = uses.into_iter().filter(|line| !line.starts_with("src/cli/args.rs:")).collect();
-    none(&others, "clap belongs to src/cli/args.rs");
+    let others: Vec<String> = uses.into_iter().filter(|line| !line.starts_with("src/cli/args")).collect();
+    none(&others, "clap belongs to src/cli/args.rs and the files below it");
 }
 
 #[test]

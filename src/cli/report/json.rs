@@ -75,7 +75,7 @@ impl Reporter for Json<'_> {
             Event::Skipped { stage, because } => {
                 self.stage("skipped", *stage, json!({ "because": self.id(*because) }));
             }
-            Event::Stopping => self.say("stopping", json!({})),
+            Event::Stopping { out_of_time } => self.say("stopping", json!({ "out_of_time": out_of_time })),
             Event::Stopped { stage } => self.stage("stopped", *stage, json!({})),
         }
     }
@@ -91,6 +91,12 @@ impl Reporter for Json<'_> {
             fields["results"] = json!({
                 "folder": published.folder.to_string_lossy(), "files": published.files,
                 "earlier": published.earlier, "removed": published.removed,
+            });
+        }
+        if let Some(left) = ending.left {
+            let stages: Vec<&str> = left.stages.iter().map(|stage| self.id(*stage)).collect();
+            fields["left"] = json!({
+                "stages": stages, "seconds": left.time.as_secs_f64(), "unknown": left.unknown,
             });
         }
         if let Some(error) = ending.error {

@@ -9,13 +9,15 @@ mod story;
 
 pub(super) use json::error_line;
 
+use std::time::Duration;
+
 use super::args::RunArgs;
 use super::results::Published;
 use super::terminal::Terminal;
 use crate::error::Error;
 use crate::exec::{Event, Executed};
 use crate::plan::Plan;
-use crate::resolve::Graph;
+use crate::resolve::{Graph, StageIndex};
 
 /// Somebody who tells how a run goes.
 pub(super) trait Reporter {
@@ -36,8 +38,23 @@ pub(super) struct Ending<'a> {
     pub published: Option<&'a Published>,
     /// Why results could not be copied.
     pub error: Option<&'a Error>,
+    /// What is left for the next run, where this one ran out of time.
+    pub left: Option<&'a Left>,
     /// The program's exit code.
     pub exit_code: u8,
+}
+
+/// What a run whose time is over leaves to the next one.
+#[derive(Clone, Debug)]
+pub(super) struct Left {
+    /// The stages that are not done.
+    pub stages: Vec<StageIndex>,
+    /// How long they will take, by earlier runs: at most, where some of them have a checkpoint.
+    pub time: Duration,
+    /// How many of them nothing is known of.
+    pub unknown: usize,
+    /// With so many threads.
+    pub threads: usize,
 }
 
 /// The reporter that the arguments and the terminal ask for.

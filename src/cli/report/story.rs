@@ -2,10 +2,12 @@
 
 use std::path::Path;
 
-use super::Ending;
+use super::{Ending, Left};
 use crate::cli::names::Names;
 use crate::cli::plan::Counts;
-use crate::cli::terminal::{Style, Terminal, count, duration, print, print_error, printable, shown};
+use crate::cli::terminal::{
+    Style, Terminal, count, duration, estimate, print, print_error, printable, shown,
+};
 use crate::exec::{Event, Outcome};
 use crate::plan::{Plan, Verdict};
 use crate::resolve::{Graph, StageIndex};
@@ -113,8 +115,12 @@ impl<'g> Story<'g> {
             Event::Waiting { stage } => {
                 Some(self.line(Style::Quiet, "waiting", *stage, " (it is being made already)"))
             }
-            Event::Stopping => {
-                let text = "stopping: running stages save their state; once more to end at once";
+            Event::Stopping { out_of_time } => {
+                let text = if *out_of_time {
+                    "the time is over: running stages save their state"
+                } else {
+                    "stopping: running stages save their state; once more to end at once"
+                };
                 Some(Line::Out(self.terminal.paint(Style::Notable, text)))
             }
             Event::Started { .. }
@@ -139,6 +145,9 @@ impl<'g> Story<'g> {
 
     fn end(&self, ending: &Ending<'_>) -> String {
         let mut text = self.verdict(&ending.executed.outcome);
+        if let Some(left) = ending.left {
+            text += &self.left(left);
+        }
         if let Some(published) = ending.published {
             let folder = shown(&published.folder);
             text += &format!("\nresults: {folder} ({})", count(published.files, "file"));
@@ -154,8 +163,21 @@ impl<'g> Story<'g> {
         text
     }
 
+    /// What the next run has to do.
+    fn left(&self, left: &Left) -> String {
+        let stages = Names::new(self.graph).groups(&left.stages, MOST_SKIPPED);
+        let mut text = format!("\n  left: {stages}");
+        if left.time.as_secs() > 0 {
+            text += &format!("; about {} on {}", estimate(left.time), count(left.threads, "thread"));
+        }
+        if left.unknown > 0 {
+            text += &format!("; {} never ran before, so nobody knows how long", count(left.unknown, "stage"));
+        }
+        text
+    }
+
     fn verdict(&self, outcome: &Outcome) -> String {
-        let Outcome { cached, ran, failed, skipped, stopped, took } = outcome;
+        let Outcome { cached, ran, failed, skipped, stopped, took, out_of_time } = outcome;
         let took = duration(*took);
         if outcome.is_complete() && *ran == 0 {
             let text = self.terminal.paint(Style::Good, "nothing to do");
@@ -172,7 +194,8 @@ impl<'g> Story<'g> {
             return format!("{}: {counts}, in {took}", self.terminal.paint(Style::Good, "done"));
         }
         let mut text = if *stopped > 0 {
-            let word = self.terminal.paint(Style::Notable, "stopped");
+            let word = if *out_of_time { "out of time" } else { "stopped" };
+            let word = self.terminal.paint(Style::Notable, word);
             format!("{word}: {counts}, in {took}; the next run goes on from here")
         } else {
             format!("{}: {counts}, in {took}", self.terminal.paint(Style::Bad, "failed"))

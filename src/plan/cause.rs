@@ -1,0 +1,217 @@
+//! Why a stage is what it is, back to the first cause: what differs in the stage itself, and for every input that
+//! differs, the same of the stage that makes it.
+
+use std::collections::{BTreeMap, HashSet};
+use std::sync::Arc;
+
+use super::explain::differences;
+use super::{OutsideFile, Plan, Reason, Verdict, lookup, order};
+use crate::resolve::{From, Graph, StageIndex};
+use crate::store::{Digest, Key, Outputs, Record, Store, StoreError};
+
+/// Why a stage is stale, or what made it run the last time.
+#[derive(Clone, Debug)]
+pub struct Explanation {
+    /// The stage.
+    pub stage: StageIndex,
+    /// Its key, where it is known.
+    pub key: Option<Key>,
+    /// The record that it is compared with: of a stage that is done, the one before; `None` where there is none.
+    pub against: Option<Key>,
+    /// What differs in the stage itself.
+    pub reasons: Vec<Reason>,
+    /// The stages whose outputs differ, or are not known yet.
+    pub causes: Vec<Cause>,
+    /// True where it stands with its causes elsewhere in the same tree.
+    pub repeated: bool,
+}
+
+/// A stage that feeds another, and why its output differs.
+#[derive(Clone, Debug)]
+pub struct Cause {
+    /// The input that it feeds.
+    pub port: String,
+    /// Why.
+    pub explanation: Explanation,
+}
+
+/// Explains a stage of a plan, with all that is behind it, each stage once.
+///
+/// # Errors
+/// The store cannot be read.
+pub fn explain(plan: &Plan<'_>, store: &Store, stage: StageIndex) -> Result<Explanation, StoreError> {
+    let count = plan.graph.stages.node_count();
+    let mut verdicts: Vec<Option<&Verdict>> = vec![None; count];
+    let mut done: Vec<Option<Arc<Outputs>>> = vec![None; count];
+    for (index, verdict) in &plan.steps {
+        verdicts[index.index()] = Some(verdict);
+        if let Verdict::Cached { outputs, .. } = verdict {
+            done[index.index()] = Some(Arc::clone(outputs));
+        }
+    }
+    let mut explainer = Explainer {
+        plan,
+        graph: plan.graph,
+        files: &plan.files,
+        store,
+        verdicts,
+        done,
+        told: HashSet::new(),
+    };
+    let against = explainer.before(stage)?;
+    explainer.explain(stage, against)
+}
+
+struct Explainer<'a> {
+    plan: &'a Plan<'a>,
+    graph: &'a Graph,
+    files: &'a BTreeMap<String, OutsideFile>,
+    store: &'a Store,
+    verdicts: Vec<Option<&'a Verdict>>,
+    done: Vec<Option<Arc<Outputs>>>,
+    told: HashSet<StageIndex>,
+}
+
+impl Explainer<'_> {
+    /// What a stage is compared with unless something better is known: the nearest earlier record that is not its own.
+    fn before(&self, stage: StageIndex) -> Result<Option<(Key, Record)>, StoreError> {
+        let own = self.key(stage);
+        for key in self.plan.history.earlier(&self.graph.stages[stage].id) {
+            if Some(*key) != own
+                && let Some(record) = self.store.record(key)?
+            {
+                return Ok(Some((*key, record)));
+            }
+        }
+        Ok(None)
+    }
+
+    fn key(&self, stage: StageIndex) -> Option<Key> {
+        match self.verdicts[stage.index()] {
+            Some(Verdict::Cached { key, .. } | Verdict::Run { key, .. }) => Some(*key),
+            _ => None,
+        }
+    }
+
+    fn explain(
+        &mut self,
+        stage: StageIndex,
+        against: Option<(Key, Record)>,
+    ) -> Result<Explanation, StoreError> {
+        let mut explanation = Explanation {
+            stage,
+            key: self.key(stage),
+            against: against.as_ref().map(|(key, _)| *key),
+            reasons: Vec::new(),
+            causes: Vec::new(),
+            repeated: !self.told.insert(stage),
+        };
+        if explanation.repeated {
+            return Ok(explanation);
+        }
+        let node = &self.graph.stages[stage];
+        // A record that is lost or damaged is a reason that no comparison shows.
+        let told = match self.verdicts[stage.index()] {
+            Some(Verdict::Run { why, .. }) => why
+                .iter()
+                .filter(|why| matches!(why, Reason::Lost { .. } | Reason::Damaged { .. }))
+                .cloned()
+                .collect(),
+            _ => Vec::new(),
+        };
+        explanation.reasons = match &against {
+            _ if !told.is_empty() => told,
+            Some((_, then)) => differences(self.graph, node, then, &self.done, self.files),
+            None => vec![Reason::New],
+        };
+        explanation.causes =
+            self.causes(stage, against.as_ref().map(|(_, record)| record), &explanation.reasons)?;
+        Ok(explanation)
+    }
+
+    /// The stages behind the inputs that differ.
+    fn causes(
+        &mut self,
+        stage: StageIndex,
+        then: Option<&Record>,
+        reasons: &[Reason],
+    ) -> Result<Vec<Cause>, StoreError> {
+        let mut causes = Vec::new();
+        for wire in &self.graph.stages[stage].inputs {
+            for source in &wire.sources {
+                let From::Stage { stage: feeder, output } = source.from else { continue };
+                let against = if self.done[feeder.index()].is_none() {
+                    self.before(feeder)?
+                } else {
+                    let origin = lookup::origin(self.graph, source);
+                    let Some(old) = changed(reasons, wire.port, &origin) else { continue };
+                    match self.maker(feeder, output, old)? {
+                        Some(record) => Some(record),
+                        None => continue,
+                    }
+                };
+                // What is new needs no tree of all that is new before it.
+                if then.is_none() && against.is_none() && self.done[feeder.index()].is_some() {
+                    continue;
+                }
+                let explanation = self.explain(feeder, against)?;
+                causes.push(Cause { port: wire.port.to_owned(), explanation });
+            }
+        }
+        Ok(causes)
+    }
+
+    /// The record under which a stage made that content.
+    fn maker(
+        &self,
+        stage: StageIndex,
+        output: &str,
+        made: Digest,
+    ) -> Result<Option<(Key, Record)>, StoreError> {
+        let own = self.key(stage);
+        for key in self.plan.history.earlier(&self.graph.stages[stage].id).filter(|key| Some(**key) != own) {
+            let made_it = self.plan.history.outputs(key).and_then(|outputs| outputs.get(output));
+            if made_it.is_some_and(|stored| stored.digest == made)
+                && let Some(record) = self.store.record(key)?
+            {
+                return Ok(Some((*key, record)));
+            }
+        }
+        Ok(None)
+    }
+}
+
+/// The earlier content of an input, where a reason says that it differs.
+fn changed(reasons: &[Reason], port: &str, origin: &str) -> Option<Digest> {
+    reasons.iter().find_map(|reason| match reason {
+        Reason::Input { port: at, from, old: Some(old), new: Some(_) } if at == port && from == origin => {
+            Some(*old)
+        }
+        _ => None,
+    })
+}
+
+impl Plan<'_> {
+    /// All stages that feed `stage`, directly or through others, and `stage` itself; every stage after what feeds it.
+    pub fn roots_to(&self, stage: StageIndex) -> Vec<StageIndex> {
+        let mut needed = vec![false; self.graph.stages.node_count()];
+        let mut open = vec![stage];
+        while let Some(stage) = open.pop() {
+            if !std::mem::replace(&mut needed[stage.index()], true) {
+                open.extend(order::feeding(self.graph, stage));
+            }
+        }
+        self.steps.iter().map(|(index, _)| *index).filter(|index| needed[index.index()]).collect()
+    }
+
+    /// Where a stage stands in the order in which every stage comes after what feeds it.
+    pub fn position(&self, stage: StageIndex) -> usize {
+        self.position.get(stage.index()).copied().unwrap_or(usize::MAX)
+    }
+
+    /// The verdict on a stage.
+    pub fn verdict(&self, stage: StageIndex) -> Option<&Verdict> {
+        let at = *self.position.get(stage.index())?;
+        self.steps.get(at).map(|(_, verdict)| verdict)
+    }
+}

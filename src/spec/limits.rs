@@ -1,0 +1,193 @@
+//! How long a stage may take, how much memory, and how often it is tried: what it takes of the machine and of patience,
+//! and never part of a key.
+
+use std::time::Duration;
+
+use super::node::{Key, Node, Value};
+use super::problem::{Problem, Problems};
+
+/// More tries than this are a slip.
+const MOST_RETRIES: u64 = 1000;
+/// The pause before the first new try, unless it is given.
+const PAUSE: Duration = Duration::from_secs(1);
+
+/// The limits of a stage.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// How often it is tried again after a failure.
+    pub retries: u32,
+    /// The pause before the first new try; each further one is twice as long, up to an hour.
+    pub pause: Duration,
+    /// How long one try may take.
+    pub timeout: Option<Duration>,
+    /// How many bytes of memory it may keep, with all that it started.
+    pub memory: Option<u64>,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self { retries: 0, pause: PAUSE, timeout: None, memory: None }
+    }
+}
+
+impl Limits {
+    /// The pause before the `retry`th new try, from 1.
+    pub fn pause_before(&self, retry: u32) -> Duration {
+        let longer =
+            self.pause.saturating_mul(1_u32.checked_shl(retry.saturating_sub(1)).unwrap_or(u32::MAX));
+        longer.min(Duration::from_secs(3600).max(self.pause))
+    }
+}
+
+/// Reads the fields `retries`, `timeout` and `memory` of a stage.
+pub(super) fn limits(
+    retries: Option<(Key, Node)>,
+    timeout: Option<(Key, Node)>,
+    memory: Option<(Key, Node)>,
+    problems: &mut Problems,
+) -> Limits {
+    let mut limits = Limits::default();
+    if let Some((key, node)) = retries {
+        tries(key, node, &mut limits, problems);
+    }
+    limits.timeout = timeout.and_then(|(key, node)| time(&key, &node, problems));
+    limits.memory = memory.and_then(|(key, node)| {
+        let text = plain(&node);
+        let bytes = text.as_deref().map(parse_size);
+        match bytes {
+            Some(Ok(bytes)) if bytes > 0 => Some(bytes),
+            _ => {
+                wrong(&key, &node, "a size as 500M or 8G", problems);
+                None
+            }
+        }
+    });
+    limits
+}
+
+/// `3`, or `{ times: 3, pause: 30s }`.
+fn tries(key: Key, node: Node, limits: &mut Limits, problems: &mut Problems) {
+    let expected = "a whole number up to 1000, or `{ times: 3, pause: 30s }`";
+    match node.value {
+        Value::Map(entries) => {
+            for (name, value) in entries {
+                match &*name.text {
+                    "times" => tries(name, value, limits, problems),
+                    "pause" => limits.pause = time(&name, &value, problems).unwrap_or(PAUSE),
+                    _ => problems.add(|| {
+                        let text =
+                            format!("`retries` has the unknown key `{}`", super::node::shorten(&name.text));
+                        Problem::new(name.span, text).hint("its keys are `times` and `pause`")
+                    }),
+                }
+            }
+        }
+        Value::Number(ref number, _) => match number.as_u64().filter(|times| *times <= MOST_RETRIES) {
+            Some(times) => limits.retries = u32::try_from(times).unwrap_or(u32::MAX),
+            None => wrong(&key, &node, expected, problems),
+        },
+        _ => wrong(&key, &node, expected, problems),
+    }
+}
+
+fn time(key: &Key, node: &Node, problems: &mut Problems) -> Option<Duration> {
+    match plain(node).as_deref().map(parse_time) {
+        Some(Ok(time)) if !time.is_zero() => Some(time),
+        _ => {
+            wrong(key, node, "a time as 90s, 2h or 1h30m", problems);
+            None
+        }
+    }
+}
+
+/// The text of a scalar as it was written.
+fn plain(node: &Node) -> Option<String> {
+    match &node.value {
+        Value::Text(text) => Some(text.to_string()),
+        Value::Number(_, written) => Some(written.to_string()),
+        _ => None,
+    }
+}
+
+fn wrong(key: &Key, node: &Node, expected: &str, problems: &mut Problems) {
+    if !matches!(node.value, Value::Broken) {
+        problems.add(|| {
+            let span = if node.span.is_empty() { key.span } else { node.span };
+            let text = format!("`{}` is {}, expected {expected}", key.text, node.describe());
+            Problem::new(span, text).hint("it stands in no key, so it cannot be a `$name`: write the value")
+        });
+    }
+}
+
+/// A time: a number with `s`, `m`, `h` or `d`, or several of them (`1h30m`); a bare number is seconds.
+pub(crate) fn parse_time(text: &str) -> Result<Duration, String> {
+    let wrong = || "expected a time as 90s, 2h, 1h30m or 30d".to_owned();
+    let mut total = 0.0;
+    let mut rest = text.trim();
+    while !rest.is_empty() {
+        let end = rest.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(rest.len());
+        let number: f64 = rest[..end].parse().map_err(|_| wrong())?;
+        let (unit, behind) = match rest[end..].chars().next() {
+            None => (1.0, ""),
+            Some('s') => (1.0, &rest[end + 1..]),
+            Some('m') => (60.0, &rest[end + 1..]),
+            Some('h') => (3600.0, &rest[end + 1..]),
+            Some('d') => (86_400.0, &rest[end + 1..]),
+            Some(_) => return Err(wrong()),
+        };
+        total += number * unit;
+        rest = behind.trim_start();
+    }
+    match Duration::try_from_secs_f64(total) {
+        Ok(time) if !text.trim().is_empty() && total < 1e10 => Ok(time),
+        _ => Err(wrong()),
+    }
+}
+
+/// A size: a number with `K`, `M`, `G` or `T` (of 1024), or of bytes.
+pub(crate) fn parse_size(text: &str) -> Result<u64, String> {
+    let wrong = || "expected a size as 500M or 20G".to_owned();
+    let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
+    let shift = match text[digits.len()..].to_ascii_uppercase().trim_end_matches("IB").trim_end_matches('B') {
+        "" => 0,
+        "K" => 10,
+        "M" => 20,
+        "G" => 30,
+        "T" => 40,
+        _ => return Err(wrong()),
+    };
+    let number: f64 = digits.parse().map_err(|_| wrong())?;
+    let bytes = number * (1_u64 << shift) as f64;
+    if bytes.is_finite() && (0.0..1e18).contains(&bytes) { Ok(bytes as u64) } else { Err(wrong()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_are_read_with_their_unit() {
+        let told = |text| parse_time(text).unwrap().as_secs();
+        let times = [told("90"), told("90s"), told("1h30m"), told("30d"), told("1.5h")];
+        assert_eq!(times, [90, 90, 5400, 2_592_000, 5400]);
+        for wrong in ["", "h", "2w", "-1s", "1e9d", "1h x"] {
+            assert!(parse_time(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn sizes_are_read_with_their_unit() {
+        let sizes = ["0", "12", "1.5K", "20G", "1MiB", "2gb"].map(|text| parse_size(text).unwrap());
+        assert_eq!(sizes, [0, 12, 1536, 20 << 30, 1 << 20, 2 << 30]);
+        for wrong in ["", "G", "-1", "1X", "nanG", "1e30"] {
+            assert!(parse_size(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn pauses_double_up_to_an_hour() {
+        let limits = Limits { pause: Duration::from_secs(30), ..Limits::default() };
+        let pauses = [1, 2, 3, 20, 64].map(|retry| limits.pause_before(retry).as_secs());
+        assert_eq!(pauses, [30, 60, 120, 3600, 3600]);
+    }
+}

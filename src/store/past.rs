@@ -1,0 +1,221 @@
+//! Runs that were: what their folders under `runs-v1` say of them. Lines that cannot be read are passed over.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use serde::Deserialize;
+use serde_json::Value;
+
+use super::run::begun_at;
+use super::{Key, Store, StoreError};
+use crate::fsx::{self, Lock};
+
+/// A run as its folder tells it.
+#[derive(Clone, Debug)]
+pub struct PastRun {
+    /// Its name, which sorts by time.
+    pub id: String,
+    /// Its folder.
+    pub folder: PathBuf,
+    /// The pipeline's name; empty where the manifest is lost.
+    pub pipeline: String,
+    /// The profile.
+    pub profile: String,
+    /// When it began, by the clock of then.
+    pub began: SystemTime,
+    /// The manifest as it is.
+    pub manifest: Value,
+    /// What became of each stage that it tells of, by id.
+    pub stages: BTreeMap<String, StageOfRun>,
+    /// How it ended; `None` while it goes on, or where it died.
+    pub end: Option<RunEnd>,
+    /// True while its process lives.
+    pub alive: bool,
+}
+
+/// What became of a stage in a run.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct StageOfRun {
+    /// Its key, where it was known.
+    pub key: Option<Key>,
+    /// What became of it.
+    pub fate: Fate,
+    /// When that was told, in seconds since the run began.
+    pub at: f64,
+    /// How long it ran, where it finished.
+    pub seconds: Option<f64>,
+    /// Why it failed.
+    pub error: Option<String>,
+    /// Why it ran, as the run told it.
+    pub why: Vec<Value>,
+}
+
+/// What became of a stage in a run.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Fate {
+    /// It was cached.
+    Cached,
+    /// It was started, and no end is told: it runs, or died with the run.
+    Started,
+    /// It ran and finished.
+    Ran,
+    /// It failed.
+    Failed,
+    /// It could not run, because one before it failed.
+    Skipped,
+    /// It was stopped.
+    Stopped,
+    /// It waited for another process.
+    #[default]
+    Waiting,
+}
+
+impl Fate {
+    /// Its name in output.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Cached => "cached",
+            Self::Started => "started",
+            Self::Ran => "ran",
+            Self::Failed => "failed",
+            Self::Skipped => "skipped",
+            Self::Stopped => "stopped",
+            Self::Waiting => "waiting",
+        }
+    }
+}
+
+/// The counts that a run ended with.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[serde(default)]
+pub struct RunEnd {
+    /// Stages whose record was there.
+    pub cached: usize,
+    /// Stages that ran and finished.
+    pub ran: usize,
+    /// Stages that failed.
+    pub failed: usize,
+    /// Stages that one before them kept from running.
+    pub skipped: usize,
+    /// Stages that were stopped or never started.
+    pub stopped: usize,
+    /// How long it took.
+    pub seconds: f64,
+}
+
+#[derive(Deserialize)]
+struct Line {
+    event: String,
+    #[serde(default)]
+    at: f64,
+    stage: Option<String>,
+    key: Option<Key>,
+    seconds: Option<f64>,
+    error: Option<String>,
+    #[serde(default)]
+    why: Vec<Value>,
+}
+
+impl Store {
+    /// The names of all runs, the latest first.
+    ///
+    /// # Errors
+    /// The store cannot be read.
+    pub fn run_ids(&self) -> Result<Vec<String>, StoreError> {
+        let mut paths = fsx::list(&self.root().join("runs-v1"))?;
+        paths.reverse();
+        let name = |path: &PathBuf| Some(path.file_name()?.to_str()?.to_owned());
+        Ok(paths.iter().filter_map(name).filter(|id| begun_at(id).is_some()).collect())
+    }
+
+    /// What there is of a run.
+    ///
+    /// # Errors
+    /// Its folder cannot be read.
+    pub fn past_run(&self, id: &str) -> Result<PastRun, StoreError> {
+        let folder = self.root().join("runs-v1").join(id);
+        let manifest: Value = fsx::read_if_there(&folder.join("run.json"))?
+            .and_then(|bytes| serde_json::from_slice(&bytes).ok())
+            .unwrap_or_default();
+        let text = |field: &str| manifest[field].as_str().unwrap_or_default().to_owned();
+        let mut run = PastRun {
+            id: id.to_owned(),
+            pipeline: text("pipeline"),
+            profile: text("profile"),
+            began: UNIX_EPOCH + begun_at(id).unwrap_or_default(),
+            manifest,
+            stages: BTreeMap::new(),
+            end: None,
+            alive: self.is_alive(id),
+            folder,
+        };
+        let events = fsx::read_if_there(&run.folder.join("events.jsonl"))?.unwrap_or_default();
+        for line in events.split(|byte| *byte == b'\n').filter(|line| !line.is_empty()) {
+            run.hear(line);
+        }
+        Ok(run)
+    }
+
+    /// True while the process of that run lives.
+    pub fn is_alive(&self, id: &str) -> bool {
+        matches!(Lock::is_held(&self.root().join("tmp").join(format!("{id}.lock"))), Ok(true))
+    }
+
+    /// True while some process builds that key.
+    pub fn is_being_made(&self, key: &Key) -> bool {
+        matches!(Lock::is_held(&self.root().join("locks-v1").join(key.hex())), Ok(true))
+    }
+
+    /// When the record of a key was written, by the clock of then; `None` where there is none.
+    ///
+    /// # Errors
+    /// The store cannot be read.
+    pub fn made_at(&self, key: &Key) -> Result<Option<SystemTime>, StoreError> {
+        Ok(fsx::modified(&self.record_path(key))?)
+    }
+}
+
+impl PastRun {
+    /// The log of a stage that this run started; `None` where it started none of that name.
+    pub fn log_of(&self, stage: &str) -> Option<PathBuf> {
+        let ending = format!("-{}.log", self.stages.get(stage)?.key?.short());
+        let logs = fsx::list(&self.folder.join("logs")).unwrap_or_default();
+        let is_of =
+            |path: &Path| path.file_name().is_some_and(|name| name.to_string_lossy().ends_with(&ending));
+        logs.into_iter().find(|path| is_of(path))
+    }
+
+    /// When something that it told `at` so many seconds happened.
+    pub fn time(&self, at: f64) -> SystemTime {
+        self.began + Duration::try_from_secs_f64(at).unwrap_or_default()
+    }
+
+    fn hear(&mut self, line: &[u8]) {
+        let Ok(line_of) = serde_json::from_slice::<Line>(line) else { return };
+        if line_of.event == "run-finished" {
+            self.end = serde_json::from_slice(line).ok();
+            return;
+        }
+        let fate = match &*line_of.event {
+            "cached" => Fate::Cached,
+            "started" => Fate::Started,
+            "finished" => Fate::Ran,
+            "failed" => Fate::Failed,
+            "skipped" => Fate::Skipped,
+            "stopped" => Fate::Stopped,
+            "waiting" => Fate::Waiting,
+            _ => return,
+        };
+        let Some(name) = line_of.stage else { return };
+        let stage = self.stages.entry(name).or_default();
+        stage.fate = fate;
+        stage.at = line_of.at;
+        stage.key = line_of.key.or(stage.key);
+        stage.seconds = line_of.seconds.or(stage.seconds);
+        stage.error = line_of.error;
+        if fate == Fate::Started {
+            stage.why = line_of.why;
+        }
+    }
+}

@@ -1,0 +1,264 @@
+//! Removing what is not needed: results that are old or too many, checkpoints of finished work, logs, leftovers. What a
+//! living run uses stays, whatever is asked for.
+
+use std::collections::{HashMap, HashSet};
+use std::path::Path;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use super::run::{begun_at, remove_dead};
+use super::usage::measure;
+use super::{Digest, InUse, Key, Record, Store, StoreError};
+use crate::fsx::{self, Entry, Lock};
+
+/// What to remove.
+#[derive(Clone, Debug, Default)]
+pub struct Sweep {
+    /// Results of these keys stay.
+    pub keep: HashSet<Key>,
+    /// Results that nobody used for longer go; so do checkpoints, logs and quarantined files of that age.
+    pub older_than: Option<Duration>,
+    /// Then the least recently used results go, until contents take no more bytes than this.
+    pub max_bytes: Option<u64>,
+    /// Only says what would be removed.
+    pub dry_run: bool,
+}
+
+/// What was removed, or would be.
+#[derive(Clone, Debug, Default)]
+pub struct Swept {
+    /// Results: key, the stage that made it, and when it was last used.
+    pub records: Vec<(Key, String, SystemTime)>,
+    /// Contents.
+    pub blobs: usize,
+    /// Folders of checkpoints.
+    pub checkpoints: usize,
+    /// Folders of runs, with their logs.
+    pub runs: usize,
+    /// Bytes that were freed.
+    pub freed: u64,
+    /// Bytes of contents that stay.
+    pub left: u64,
+    /// Results that would have gone, but living runs use them.
+    pub in_use: usize,
+    /// True where more stays than was allowed: all the rest is kept or in use.
+    pub too_much: bool,
+}
+
+/// A result, as far as it matters here.
+struct Result_ {
+    key: Key,
+    record: Record,
+    used: SystemTime,
+    goes: bool,
+}
+
+impl Store {
+    /// All records that can be read.
+    ///
+    /// # Errors
+    /// The store cannot be read.
+    pub fn records(&self) -> Result<Vec<(Key, Record)>, StoreError> {
+        let mut all = Vec::new();
+        for (_, name) in self.sharded_files("records-v1")? {
+            let Some(key) = name.strip_suffix(".json").and_then(|key| key.parse::<Key>().ok()) else {
+                continue;
+            };
+            if let Some(record) = self.record(&key)? {
+                all.push((key, record));
+            }
+        }
+        Ok(all)
+    }
+
+    /// Removes what is not needed. Living runs go on meanwhile; they wait for a moment where they look results up.
+    ///
+    /// # Errors
+    /// The store cannot be read or written; what was removed until then is gone.
+    pub fn sweep(&self, wish: &Sweep) -> Result<Swept, StoreError> {
+        if fsx::entry(self.root())?.is_none() {
+            return Ok(Swept::default());
+        }
+        let _held = if wish.dry_run { self.hold()? } else { Some(self.hold_alone()?) };
+        let in_use = self.in_use()?;
+        let mut results = self.results()?;
+        let mut swept = Swept::default();
+        let sizes = self.blob_sizes()?;
+        self.choose(wish, &in_use, &mut results, &sizes, &mut swept);
+        for result in results.iter().filter(|result| result.goes) {
+            if !wish.dry_run {
+                fsx::remove_file(&self.record_path(&result.key))?;
+            }
+            swept.records.push((result.key, result.record.stage.clone(), result.used));
+        }
+        self.sweep_blobs(wish, &in_use, &results, &sizes, &mut swept)?;
+        self.sweep_rest(wish, &in_use, &results, &mut swept)?;
+        Ok(swept)
+    }
+
+    /// Every result with when it was last used, the least recently used first. A pipeline's history file is touched by
+    /// every run, so what is current in it counts as used then.
+    fn results(&self) -> Result<Vec<Result_>, StoreError> {
+        let mut used: HashMap<Key, SystemTime> = HashMap::new();
+        for path in fsx::list(&self.root().join("history-v1"))? {
+            let Some(time) = fsx::modified(&path)? else { continue };
+            for key in self.current_keys(&path)? {
+                let last = used.entry(key).or_insert(time);
+                *last = time.max(*last);
+            }
+        }
+        let mut results = Vec::new();
+        for (key, record) in self.records()? {
+            let made = self.made_at(&key)?.unwrap_or(UNIX_EPOCH);
+            let used = used.get(&key).map_or(made, |used| made.max(*used));
+            results.push(Result_ { key, record, used, goes: false });
+        }
+        results.sort_by_key(|result| (result.used, result.key));
+        Ok(results)
+    }
+
+    fn blob_sizes(&self) -> Result<HashMap<Digest, u64>, StoreError> {
+        let mut sizes = HashMap::new();
+        for (path, name) in self.sharded_files("blobs-v1")? {
+            if let (Ok(digest), Some(Entry::File(bytes))) = (name.parse::<Digest>(), fsx::entry(&path)?) {
+                sizes.insert(digest, bytes);
+            }
+        }
+        Ok(sizes)
+    }
+
+    fn choose(
+        &self,
+        wish: &Sweep,
+        in_use: &InUse,
+        results: &mut [Result_],
+        sizes: &HashMap<Digest, u64>,
+        swept: &mut Swept,
+    ) {
+        let mut users: HashMap<Digest, usize> = HashMap::new();
+        for digest in
+            results.iter().flat_map(|result| result.record.outputs.values()).map(|stored| stored.digest)
+        {
+            *users.entry(digest).or_default() += 1;
+        }
+        let mut total: u64 = users.keys().filter_map(|digest| sizes.get(digest)).sum();
+        let now = SystemTime::now();
+        for result in results.iter_mut() {
+            let too_old = wish
+                .older_than
+                .is_some_and(|limit| now.duration_since(result.used).unwrap_or_default() > limit);
+            let too_much = wish.max_bytes.is_some_and(|limit| total > limit);
+            if !too_old && !too_much || wish.keep.contains(&result.key) {
+                continue;
+            }
+            if in_use.keys.contains(&result.key) {
+                swept.in_use += 1;
+                continue;
+            }
+            result.goes = true;
+            for stored in result.record.outputs.values() {
+                if let Some(count) = users.get_mut(&stored.digest) {
+                    *count = count.saturating_sub(1);
+                    if *count == 0 {
+                        total -= sizes.get(&stored.digest).copied().unwrap_or_default();
+                    }
+                }
+            }
+        }
+        swept.too_much = wish.max_bytes.is_some_and(|limit| total > limit);
+    }
+
+    /// Removes contents that no result which stays has made, and that came from outside for none.
+    fn sweep_blobs(
+        &self,
+        wish: &Sweep,
+        in_use: &InUse,
+        results: &[Result_],
+        sizes: &HashMap<Digest, u64>,
+        swept: &mut Swept,
+    ) -> Result<(), StoreError> {
+        let made: HashSet<Digest> = results
+            .iter()
+            .flat_map(|result| result.record.outputs.values())
+            .map(|stored| stored.digest)
+            .collect();
+        let mut needed = in_use.digests.clone();
+        for result in results.iter().filter(|result| !result.goes || in_use.keys.contains(&result.key)) {
+            needed.extend(result.record.outputs.values().map(|stored| stored.digest));
+            let read = result.record.inputs.iter().flat_map(|input| &input.items).map(|item| item.digest);
+            needed.extend(read.filter(|digest| !made.contains(digest)));
+        }
+        for (digest, bytes) in sizes {
+            if needed.contains(digest) {
+                swept.left += bytes;
+                continue;
+            }
+            if !wish.dry_run {
+                fsx::remove_file(&self.blob_path(digest))?;
+            }
+            swept.blobs += 1;
+            swept.freed += bytes;
+        }
+        Ok(())
+    }
+
+    /// Checkpoints, runs, quarantined files, and locks and folders of the dead.
+    fn sweep_rest(
+        &self,
+        wish: &Sweep,
+        in_use: &InUse,
+        results: &[Result_],
+        swept: &mut Swept,
+    ) -> Result<(), StoreError> {
+        let done: HashSet<Key> = results.iter().map(|result| result.key).collect();
+        let old = |time: Option<SystemTime>| {
+            let age = time.and_then(|time| SystemTime::now().duration_since(time).ok()).unwrap_or_default();
+            wish.older_than.is_some_and(|limit| age > limit)
+        };
+        for path in fsx::list(&self.root().join("checkpoints-v1"))? {
+            let key =
+                path.file_name().and_then(|name| name.to_str()).and_then(|name| name.parse::<Key>().ok());
+            let finished = key.is_some_and(|key| done.contains(&key));
+            let last = fsx::modified(&path.join("files"))?.or(fsx::modified(&path)?);
+            let busy = key.is_some_and(|key| in_use.keys.contains(&key) || self.is_being_made(&key))
+                || Lock::is_held(&path.join("lock"))?;
+            if (finished || old(last)) && !busy {
+                remove(&path, wish.dry_run, swept)?;
+                swept.checkpoints += 1;
+            }
+        }
+        for id in self.run_ids()? {
+            let began = begun_at(&id).map(|since| UNIX_EPOCH + since);
+            if old(began) && !in_use.runs.contains(&id) {
+                remove(&self.root().join("runs-v1").join(&id), wish.dry_run, swept)?;
+                swept.runs += 1;
+            }
+        }
+        for path in fsx::list(&self.root().join("quarantine-v1"))? {
+            if old(fsx::modified(&path)?) {
+                remove(&path, wish.dry_run, swept)?;
+            }
+        }
+        if !wish.dry_run {
+            for path in fsx::list(&self.root().join("locks-v1"))? {
+                if let Ok(Some(lock)) = Lock::try_acquire(&path) {
+                    let _ = lock.remove();
+                }
+            }
+            let tmp = self.root().join("tmp");
+            if fsx::entry(&tmp)?.is_some() {
+                let _gate = Lock::acquire(&tmp.join("gate"))?;
+                remove_dead(&tmp);
+            }
+        }
+        Ok(())
+    }
+}
+
+fn remove(path: &Path, dry_run: bool, swept: &mut Swept) -> fsx::Result<()> {
+    swept.freed += measure(path)?.bytes;
+    match fsx::entry(path)? {
+        _ if dry_run => Ok(()),
+        Some(Entry::Folder) => fsx::remove_dir_all(path),
+        _ => fsx::remove_file(path).map(drop),
+    }
+}

@@ -1,0 +1,184 @@
+//! The commands that look and change nothing: `explain`, `status`, `show`, `log`, `runs`, `diff`.
+
+use serde_json::{Value, json};
+
+use crate::cli::WORDS;
+use crate::sealed::Sealed;
+
+fn parsed(sealed: &Sealed, args: &str) -> Value {
+    let text = sealed.run_ok(args);
+    serde_json::from_str(&text).unwrap_or_else(|error| panic!("{args}: {error}: {text}"))
+}
+
+fn stage<'a>(all: &'a Value, id: &str) -> &'a Value {
+    all.as_array().unwrap().iter().find(|stage| stage["stage"] == id).unwrap_or_else(|| panic!("no {id}"))
+}
+
+#[test]
+fn explain_names_the_field_that_made_a_stage_stale_back_to_the_first_cause() {
+    let sealed = Sealed::with(WORDS);
+    sealed.run_ok("run p.yaml");
+    let said = sealed.run_ok("explain p.yaml gather --set say.times=2");
+    for part in [
+        "gather: runs once others have run",
+        "comes from count[word=one]",
+        "say[word=one]: will run",
+        "times: 1 -> 2",
+    ] {
+        assert!(said.contains(part), "{part}: {said}");
+    }
+    let json = parsed(&sealed, "explain p.yaml gather --json --set say.times=2");
+    let first = &json[0]["causes"][0];
+    assert_eq!((&first["stage"], &first["port"]), (&json!("count[word=one]"), &json!("parts")));
+    let root = &first["causes"][0];
+    assert_eq!(root["stage"], "say[word=one]");
+    assert_eq!(root["why"], json!([{ "because": "param", "path": "times", "old": 1, "new": 2 }]));
+}
+
+#[test]
+fn explain_still_tells_after_the_run_why_a_stage_ran() {
+    let sealed = Sealed::with(WORDS);
+    sealed.run_ok("run p.yaml");
+    assert!(sealed.run_ok("explain p.yaml").contains("every stage is up to date"));
+    sealed.run_ok("run p.yaml --set count.to=5");
+    let said = sealed.run_ok("explain p.yaml gather --set count.to=5");
+    assert!(said.contains("gather: up to date, made "), "{said}");
+    assert!(said.contains("input `parts` differs (count[word=one].count): "), "{said}");
+    assert!(said.contains("    to: 2 -> 5\n"), "{said}");
+    let json = parsed(&sealed, "explain p.yaml gather --json --set count.to=5");
+    assert_eq!(json[0]["verdict"], "cached");
+    let why = json[0]["why"].as_array().unwrap();
+    assert_eq!(why.len(), 3);
+    assert!(why.iter().all(|reason| reason["old"] != reason["new"] && reason["old"].is_string()));
+}
+
+#[test]
+fn a_stage_that_nobody_knows_is_answered_with_the_nearest_name() {
+    let sealed = Sealed::with(WORDS);
+    for command in ["explain p.yaml gathr", "show p.yaml gathr", "status p.yaml gathr"] {
+        let ended = sealed.run(command);
+        assert_eq!(ended.code, 2, "{ended:?}");
+        assert!(ended.stderr.contains("did you mean `gather`?"), "{}", ended.stderr);
+    }
+}
+
+#[test]
+fn status_tells_fresh_stale_and_failed_stages_apart() {
+    let sealed = Sealed::with(WORDS);
+    sealed.run_ok("run p.yaml");
+    let fresh = parsed(&sealed, "status p.yaml --json");
+    assert!(fresh.as_array().unwrap().iter().all(|stage| stage["state"] == "fresh"));
+    assert!(stage(&fresh, "gather")["since"].as_f64().unwrap() > 1.7e9);
+    let bad = "--set count.mishap=fail --set count.to=3";
+    assert_eq!(sealed.run(&format!("run p.yaml {bad}")).code, 1);
+    let after = parsed(&sealed, &format!("status p.yaml --json {bad}"));
+    assert_eq!(stage(&after, "count[word=two]")["state"], "failed");
+    assert_eq!(stage(&after, "count[word=two]")["error"], "told to fail at 0");
+    assert_eq!(stage(&after, "gather")["state"], "behind");
+    assert_eq!(stage(&after, "apart")["state"], "fresh");
+    let stale = sealed.run_ok("status p.yaml --set apart.text=x");
+    assert!(stale.contains("  apart      stale"), "{stale}");
+    assert!(stale.contains("count × 3  fresh  made "), "{stale}");
+    assert!(stale.lines().last().unwrap().starts_with("7 fresh ("), "{stale}");
+}
+
+#[test]
+fn status_names_a_stage_that_another_process_runs() {
+    let sealed = Sealed::with(WORDS);
+    let slow = "--set count.mishap=hang --set count.at=1";
+    let mut command = sealed.command(&format!("run p.yaml --jobs 1 {slow}"));
+    let mut child = command.stdout(std::process::Stdio::null()).spawn().unwrap();
+    crate::sealed::until("a stage runs", || {
+        sealed.run(&format!("status p.yaml {slow}")).stdout.contains("running")
+    });
+    let runs = parsed(&sealed, "runs --json");
+    assert_eq!(runs[0]["state"], "running");
+    child.kill().unwrap();
+    child.wait().unwrap();
+    assert_eq!(parsed(&sealed, "runs --json")[0]["state"], "died");
+}
+
+#[test]
+fn show_gives_digests_and_provenance_up_to_the_roots() {
+    let sealed = Sealed::with(WORDS);
+    sealed.run_ok("run p.yaml");
+    let json = parsed(&sealed, "show p.yaml gather --json");
+    let shown = stage(&json, "gather");
+    let path = shown["outputs"][0]["path"].as_str().unwrap();
+    assert_eq!(std::fs::read_to_string(path).unwrap(), sealed.read("results/words-full/gather.md"));
+    let before: Vec<&str> = shown["provenance"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|stage| stage["stage"].as_str().unwrap())
+        .collect();
+    assert_eq!(before.len(), 6);
+    let position = |id: &str| before.iter().position(|other| *other == id).unwrap();
+    assert!(position("say[word=one]") < position("count[word=one]"), "roots come first: {before:?}");
+    let text = sealed.run_ok("show p.yaml gather");
+    assert!(text.contains("rests on, roots first") && text.contains("joined"), "{text}");
+    assert!(text.contains(shown["key"].as_str().unwrap()));
+}
+
+#[test]
+fn a_log_is_found_by_the_name_of_its_stage() {
+    let sealed = Sealed::with(WORDS);
+    sealed.run("run p.yaml --set count.mishap=crash");
+    let said = sealed.run_ok("log count[word=one]");
+    assert!(said.contains("about to crash\n") && said.contains("==> it failed: "), "{said}");
+    let paths = sealed.run_ok("log count --path");
+    assert_eq!(paths.lines().count(), 3);
+    assert!(paths.lines().all(|path| sealed.path(path).is_file()), "{paths}");
+    let ended = sealed.run("log nobody");
+    assert_eq!(ended.code, 2);
+    assert!(ended.stderr.contains("no run in "), "{}", ended.stderr);
+}
+
+#[test]
+fn runs_are_listed_latest_first_with_how_they_ended() {
+    let sealed = Sealed::with(WORDS);
+    assert!(sealed.run_ok("runs").starts_with("no runs in "));
+    sealed.run_ok("run p.yaml");
+    sealed.run("run p.yaml --set count.mishap=fail");
+    let runs = parsed(&sealed, "runs --json");
+    assert_eq!((&runs[0]["state"], &runs[0]["failed"]), (&json!("failed"), &json!(3)));
+    assert_eq!((&runs[1]["state"], &runs[1]["ran"]), (&json!("done"), &json!(8)));
+    let text = sealed.run_ok("runs");
+    assert!(text.lines().count() == 2 && text.contains("done: 8 ran, in "), "{text}");
+    assert_eq!(sealed.run_ok("runs -n 1").lines().count(), 1);
+    assert!(sealed.run_ok("runs --pipeline other").starts_with("no runs"));
+}
+
+#[test]
+fn diff_shows_parameters_and_results_of_two_runs_side_by_side() {
+    let sealed = Sealed::with(WORDS);
+    sealed.run_ok("run p.yaml");
+    sealed.run_ok("run p.yaml --set apart.text=other");
+    let json = parsed(&sealed, "diff last~1 last --json");
+    assert_eq!(json["same"], 7);
+    let apart = stage(&json["stages"], "apart");
+    assert_eq!(apart["why"][0]["path"], "text");
+    assert_eq!(apart["results"][0]["lines"], json!([{ "line": 1, "then": "apart", "now": "other" }]));
+    let text = sealed.run_ok("diff last~1");
+    assert!(text.contains("text: \"apart\" -> \"other\"") && text.contains("apart  |  other"), "{text}");
+    let ended = sealed.run("diff 1999");
+    assert_eq!(ended.code, 2, "{ended:?}");
+}
+
+#[test]
+fn looking_changes_nothing_in_the_store() {
+    let sealed = Sealed::with(WORDS);
+    sealed.run_ok("run p.yaml");
+    let before = crate::lab::files_below(&sealed.path("cache"));
+    for command in [
+        "explain p.yaml gather",
+        "status p.yaml",
+        "show p.yaml gather",
+        "log gather",
+        "runs",
+        "diff last last",
+    ] {
+        sealed.run_ok(command);
+        assert_eq!(crate::lab::files_below(&sealed.path("cache")), before, "{command}");
+    }
+}
