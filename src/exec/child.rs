@@ -14,12 +14,16 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
 
 use super::listen::Listener;
+use super::memory;
 use super::runner::{Exit, Launch, Runner};
 use super::stage::EXIT_STOPPED;
 use crate::fsx::{self, Entry, File};
 
 /// How soon a wish to stop is noticed.
 const GLANCE: Duration = Duration::from_millis(100);
+
+/// How often the memory of a stage with a limit is measured.
+const MEASURE: Duration = Duration::from_millis(200);
 
 /// What caps the threads of libraries that stages use. Results do not depend on it; the neighbours' speed does.
 const THREAD_LIMITS: [&str; 5] = [
@@ -88,8 +92,31 @@ impl Runner for ChildRunner {
         })?;
         let mut watched = Watched::new(child, Listener::new(log), launch)?;
         let status = watched.watch(hear)?;
-        Ok(exit(status, watched.asked.is_some(), watched.listener.failure()))
+        Ok(match watched.over {
+            _ if status.success() => Exit::Done,
+            Some(Over::Time) => Exit::TimedOut,
+            Some(Over::Memory(bytes)) => Exit::OutOfMemory(too_much(bytes, launch)),
+            None if watched.killed_for_memory(status) => Exit::OutOfMemory(
+                "it was killed by the system, whose memory ran out; give it fewer neighbours (`--jobs`)"
+                    .to_owned(),
+            ),
+            None => exit(status, watched.asked.is_some(), watched.listener.failure()),
+        })
     }
+}
+
+/// Which limit a stage has passed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Over {
+    Time,
+    /// With so many bytes.
+    Memory(u64),
+}
+
+fn too_much(bytes: u64, launch: &Launch<'_>) -> String {
+    let mib = |bytes: u64| bytes.div_ceil(1 << 20);
+    let limit = launch.limits.memory.unwrap_or_default();
+    format!("it kept {} MiB of memory, more than the {} MiB that its `memory` allows", mib(bytes), mib(limit))
 }
 
 /// A child that runs. Dropped early, it is killed with all it started.
@@ -101,6 +128,11 @@ struct Watched<'a> {
     listener: Listener,
     launch: &'a Launch<'a>,
     asked: Option<Instant>,
+    over: Option<Over>,
+    began: Instant,
+    measured: Instant,
+    /// Kills for want of memory before it was started.
+    kills: Option<u64>,
     reaped: bool,
 }
 
@@ -108,13 +140,29 @@ impl<'a> Watched<'a> {
     fn new(child: Child, listener: Listener, launch: &'a Launch<'a>) -> io::Result<Self> {
         let group = i32::try_from(child.id()).ok().and_then(Pid::from_raw);
         let group = group.ok_or_else(|| io::Error::other("the system gave no process number"))?;
-        Ok(Self { child, group, ended: pidfd(group), listener, launch, asked: None, reaped: false })
+        let now = Instant::now();
+        let ended = pidfd(group);
+        let kills = memory::kills();
+        Ok(Self {
+            child,
+            group,
+            ended,
+            listener,
+            launch,
+            asked: None,
+            over: None,
+            began: now,
+            measured: now,
+            kills,
+            reaped: false,
+        })
     }
 
     fn watch(&mut self, hear: &mut dyn FnMut(Message)) -> io::Result<ExitStatus> {
         let mut open = true;
         while !self.has_ended()? {
             self.stop_if_wished();
+            self.stop_if_over();
             if self.wait_for_news(open)? {
                 open = self.listener.read(self.child.stdout.as_mut(), hear)?;
             }
@@ -144,6 +192,34 @@ impl<'a> Watched<'a> {
             Some(asked) if asked.elapsed() >= self.launch.grace => self.kill(Signal::KILL),
             _ => {}
         }
+    }
+
+    /// Stops a stage that has passed a limit: one that takes too long may save its state, one that takes too much memory
+    /// has no time for that.
+    fn stop_if_over(&mut self) {
+        let limits = &self.launch.limits;
+        if self.over.is_some() || self.asked.is_some() {
+            return;
+        }
+        if limits.timeout.is_some_and(|limit| self.began.elapsed() >= limit) {
+            self.over = Some(Over::Time);
+            self.asked = Some(Instant::now());
+            self.kill(Signal::TERM);
+        } else if let Some(limit) = limits.memory
+            && self.measured.elapsed() >= MEASURE
+        {
+            self.measured = Instant::now();
+            if let Some(bytes) = memory::resident(self.group).filter(|bytes| *bytes > limit) {
+                self.over = Some(Over::Memory(bytes));
+                self.kill(Signal::KILL);
+            }
+        }
+    }
+
+    /// True where the system has killed something since the stage began, and the stage was killed, but not by us.
+    fn killed_for_memory(&self, status: ExitStatus) -> bool {
+        let killed = status.signal() == Some(Signal::KILL.as_raw()) && self.asked.is_none();
+        killed && self.kills.is_some() && memory::kills() > self.kills
     }
 
     /// Waits until the child says something or ends, but not for long. True where there is something to read.

@@ -280,6 +280,11 @@ impl<'a, 's> Dispatcher<'a, 's> {
                 Ok(())
             }
             News::Said(..) => Ok(()),
+            News::Retrying(stage, retry, error, pause) => {
+                let of = self.shape.graph.stages[stage].limits.retries;
+                self.journal.tell(&Event::Retrying { stage, retry, of, error, pause });
+                Ok(())
+            }
             News::Built(stage, built) => {
                 self.running -= 1;
                 self.threads_used -= self.threads(stage);

@@ -59,10 +59,25 @@ pub enum Event {
         stage: StageIndex,
         /// The error, one or more lines.
         error: String,
+        /// What sort of failure it is.
+        cause: Cause,
         /// The last lines of its log.
         log_tail: Vec<String>,
         /// The full log.
         log: std::path::PathBuf,
+    },
+    /// It failed and will be tried again.
+    Retrying {
+        /// Which.
+        stage: StageIndex,
+        /// The number of the new try, from 1.
+        retry: u32,
+        /// How many new tries there are.
+        of: u32,
+        /// Why the last one failed.
+        error: String,
+        /// How long until the new one begins.
+        pause: Duration,
     },
     /// It cannot run because a stage before it failed.
     Skipped {
@@ -86,6 +101,31 @@ pub enum Event {
         /// The counts.
         outcome: Outcome,
     },
+}
+
+/// Why a stage failed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Cause {
+    /// By its own fault.
+    Failed,
+    /// It took more memory than it may, or than there is.
+    Memory,
+    /// It took longer than it may.
+    Timeout,
+    /// The store failed it.
+    Store,
+}
+
+impl Cause {
+    /// Its name in JSON.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Failed => "failed",
+            Self::Memory => "memory",
+            Self::Timeout => "timeout",
+            Self::Store => "store",
+        }
+    }
 }
 
 /// How a run ended.

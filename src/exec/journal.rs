@@ -110,9 +110,13 @@ fn line(graph: &Graph, event: &Event) -> Option<Value> {
         Event::StageFinished { stage, took } => {
             json!({ "event": "finished", "stage": id(stage), "seconds": took.as_secs_f64() })
         }
-        Event::StageFailed { stage, error, .. } => {
-            json!({ "event": "failed", "stage": id(stage), "error": error })
+        Event::StageFailed { stage, error, cause, .. } => {
+            json!({ "event": "failed", "stage": id(stage), "error": error, "cause": cause.name() })
         }
+        Event::Retrying { stage, retry, error, pause, .. } => json!({
+            "event": "retrying", "stage": id(stage), "retry": retry, "error": error,
+            "seconds": pause.as_secs_f64(),
+        }),
         Event::Skipped { stage, because } => {
             json!({ "event": "skipped", "stage": id(stage), "because": id(because) })
         }

@@ -7,6 +7,7 @@ mod event;
 mod inline;
 mod journal;
 mod listen;
+mod memory;
 mod ready;
 mod runner;
 mod stage;
@@ -20,7 +21,7 @@ use std::time::{Duration, Instant};
 
 pub use check::{Again, check};
 pub use child::ChildRunner;
-pub use event::{Event, Outcome};
+pub use event::{Cause, Event, Outcome};
 pub use inline::InlineRunner;
 pub use runner::{Exit, Launch, Runner};
 pub use stage::{EXIT_STOPPED, run_stage};

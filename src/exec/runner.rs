@@ -7,6 +7,8 @@ use std::time::Duration;
 
 use dril_stage_api::Message;
 
+use crate::spec::Limits;
+
 /// What a runner is to start.
 #[derive(Clone, Copy, Debug)]
 pub struct Launch<'a> {
@@ -24,6 +26,8 @@ pub struct Launch<'a> {
     pub stop: &'a AtomicBool,
     /// See [`super::Options::grace`].
     pub grace: Duration,
+    /// How long it may take, and how much memory it may keep with all that it starts.
+    pub limits: Limits,
 }
 
 /// How a stage's process ended.
@@ -35,6 +39,10 @@ pub enum Exit {
     Stopped,
     /// It failed, for this reason.
     Failed(String),
+    /// It was killed because it took more memory than it may, or than there is: the text says which.
+    OutOfMemory(String),
+    /// It took longer than it may.
+    TimedOut,
 }
 
 /// Runs one job, here or elsewhere.

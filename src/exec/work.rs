@@ -3,22 +3,26 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::SyncSender;
 use std::time::{Duration, Instant};
 
 use dril_stage_api::{Job, JobInput, JobOutput, Message, Ports, Seed};
 
-use super::Options;
 use super::check::Again;
 use super::dispatch::{Shape, log_stem};
 use super::runner::{Exit, Launch, Runner};
+use super::{Cause, Options};
 use crate::fsx::{self, Entry, FsError, Lock};
 use crate::plan::{self, OutsideFile};
 use crate::resolve::{self, Source, StageIndex, StageInstance};
+use crate::spec::Limits;
 use crate::store::{
     self, Blob, Fingerprint, Key, Outputs, RECORD_VERSION, Record, Run, Store, StoreError, Stored,
 };
+
+/// How soon a wish to stop is noticed between two tries.
+const GLANCE: Duration = Duration::from_millis(50);
 
 /// What all stages of a run share.
 #[derive(Clone, Copy)]
@@ -40,6 +44,7 @@ pub(super) struct Task<'a> {
     pub ports: &'a Ports,
     pub worker: Option<&'static str>,
     pub threads: usize,
+    pub limits: Limits,
     /// Files from outside that it reads.
     pub files: Vec<&'a OutsideFile>,
     /// All but what is known only afterwards.
@@ -56,6 +61,8 @@ pub(super) enum News {
     /// Its process is gone. Where it succeeded, its outputs can be read from now on, so that those who wait for them can
     /// start; a crash before [`News::Committed`] costs that it runs again, and nothing else, since keys go by content.
     Built(StageIndex, Result<Arc<Outputs>, Failure>),
+    /// It failed and will be tried again: the number of the try, why, and how long until then.
+    Retrying(StageIndex, u32, String, Duration),
     /// Its record is written and durable. Comes after `Built` where that was a success.
     Committed(StageIndex, Result<Duration, String>),
 }
@@ -66,18 +73,24 @@ pub(super) enum Failure {
     /// It was asked to stop, and did.
     Stopped,
     /// It failed.
-    Failed(String),
+    Failed(String, Cause),
+}
+
+impl Failure {
+    fn by_itself(error: impl ToString) -> Self {
+        Self::Failed(error.to_string(), Cause::Failed)
+    }
 }
 
 impl From<StoreError> for Failure {
     fn from(error: StoreError) -> Self {
-        Self::Failed(error.to_string())
+        Self::Failed(error.to_string(), Cause::Store)
     }
 }
 
 impl From<FsError> for Failure {
     fn from(error: FsError) -> Self {
-        Self::Failed(error.to_string())
+        Self::Failed(error.to_string(), Cause::Store)
     }
 }
 
@@ -101,6 +114,7 @@ impl<'a> Task<'a> {
             ports: &node.ports,
             worker: node.kind.worker(),
             threads: node.needs.threads.max(1),
+            limits: node.limits,
             files: outside(node, shape).collect(),
             stage,
             key,
@@ -115,8 +129,9 @@ impl<'a> Task<'a> {
         let stage = self.stage;
         let said = |message| drop(news.send(News::Said(stage, message)));
         // A fault in a runner must not leave the dispatcher waiting for ever.
-        let built = catch_unwind(AssertUnwindSafe(|| self.build(site, &mut { said })));
-        let built = built.unwrap_or_else(|_| Err(Failure::Failed("the engine's worker panicked".to_owned())));
+        let mut retrying = |retry, error, pause| drop(news.send(News::Retrying(stage, retry, error, pause)));
+        let built = catch_unwind(AssertUnwindSafe(|| self.build_until(site, &mut { said }, &mut retrying)));
+        let built = built.unwrap_or_else(|_| Err(Failure::by_itself("the engine's worker panicked")));
         match built {
             Err(failure) => drop(news.send(News::Built(stage, Err(failure)))),
             Ok((blobs, took)) => {
@@ -129,6 +144,37 @@ impl<'a> Task<'a> {
         // Garbage that stays behind is removed with the run's folder.
         let _ = fsx::remove_dir_all(&self.folder);
         let _ = self.lock.remove();
+    }
+
+    /// Builds it, again and again as far as its `retries` allow. What is wrong with the store is no better the next time.
+    fn build_until(
+        &mut self,
+        site: Site<'_>,
+        hear: &mut dyn FnMut(Message),
+        retrying: &mut dyn FnMut(u32, String, Duration),
+    ) -> Result<(Vec<Blob>, Duration), Failure> {
+        let mut retry = 0;
+        loop {
+            let error = match self.build(site, hear) {
+                Err(Failure::Failed(error, cause))
+                    if cause != Cause::Store && retry < self.limits.retries =>
+                {
+                    error
+                }
+                other => return other,
+            };
+            retry += 1;
+            let pause = self.limits.pause_before(retry);
+            retrying(retry, error, pause);
+            let began = Instant::now();
+            while began.elapsed() < pause {
+                if site.halt.load(Ordering::Relaxed) {
+                    return Err(Failure::Stopped);
+                }
+                std::thread::sleep(GLANCE.min(pause - began.elapsed().min(pause)));
+            }
+            fsx::remove_dir_all(&self.folder)?;
+        }
     }
 
     fn build(
@@ -144,7 +190,7 @@ impl<'a> Task<'a> {
         fsx::create_dir(&self.folder)?;
         fsx::create_dir(&outputs_folder(&self.folder))?;
         let job_file = self.folder.join("job.json");
-        let job = serde_json::to_vec(&self.job).map_err(|error| Failure::Failed(error.to_string()))?;
+        let job = serde_json::to_vec(&self.job).map_err(Failure::by_itself)?;
         fsx::write(&job_file, &job)?;
         let launch = Launch {
             job: &job_file,
@@ -154,9 +200,10 @@ impl<'a> Task<'a> {
             threads: self.threads,
             stop: site.halt,
             grace: site.options.grace,
+            limits: self.limits,
         };
         let began = Instant::now();
-        ended(site.runner.run(&launch, hear))?;
+        ended(site.runner.run(&launch, hear), &self.limits)?;
         let took = began.elapsed();
         self.record.seconds = took.as_secs_f64();
         Ok((self.take_outputs(site.store)?, took))
@@ -206,7 +253,7 @@ pub(super) fn again(
     match came {
         Ok(again) => again,
         Err(Failure::Stopped) => Again::Stopped,
-        Err(Failure::Failed(error)) => Again::Failed(error),
+        Err(Failure::Failed(error, _)) => Again::Failed(error),
     }
 }
 
@@ -230,7 +277,7 @@ fn run_again(
     // A place of its own: what the first run left must not help the second.
     job.checkpoints = folder.join("again").join("files");
     let job_file = folder.join("job.json");
-    fsx::write(&job_file, &serde_json::to_vec(&job).map_err(|error| Failure::Failed(error.to_string()))?)?;
+    fsx::write(&job_file, &serde_json::to_vec(&job).map_err(Failure::by_itself)?)?;
     let launch = Launch {
         job: &job_file,
         log,
@@ -239,8 +286,9 @@ fn run_again(
         threads: node.needs.threads.max(1),
         stop: site.halt,
         grace: site.options.grace,
+        limits: node.limits,
     };
-    ended(site.runner.run(&launch, &mut |_| {}))?;
+    ended(site.runner.run(&launch, &mut |_| {}), &node.limits)?;
     for output in &node.ports.outputs {
         let path = output_path(folder, output.name, output.extension);
         check_output(output.name, &path)?;
@@ -260,12 +308,20 @@ fn run_again(
     Ok(Again::Same)
 }
 
-fn ended(exit: std::io::Result<Exit>) -> Result<(), Failure> {
+fn ended(exit: std::io::Result<Exit>, limits: &Limits) -> Result<(), Failure> {
     match exit {
         Ok(Exit::Done) => Ok(()),
         Ok(Exit::Stopped) => Err(Failure::Stopped),
-        Ok(Exit::Failed(error)) => Err(Failure::Failed(error)),
-        Err(error) => Err(Failure::Failed(error.to_string())),
+        Ok(Exit::Failed(error)) => Err(Failure::by_itself(error)),
+        Ok(Exit::OutOfMemory(error)) => Err(Failure::Failed(error, Cause::Memory)),
+        Ok(Exit::TimedOut) => {
+            let limit = limits.timeout.unwrap_or_default().as_secs_f64();
+            Err(Failure::Failed(
+                format!("it took longer than the {limit} s that its `timeout` allows"),
+                Cause::Timeout,
+            ))
+        }
+        Err(error) => Err(Failure::by_itself(error)),
     }
 }
 
@@ -341,5 +397,5 @@ fn check_output(name: &str, path: &Path) -> Result<(), Failure> {
         Some(Entry::Folder) => "is a folder, expected a file",
         Some(Entry::Other) => "is a link or no regular file, expected a file",
     };
-    Err(Failure::Failed(format!("output `{name}` {seen}")))
+    Err(Failure::by_itself(format!("output `{name}` {seen}")))
 }

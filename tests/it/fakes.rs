@@ -179,6 +179,9 @@ pub struct CountParams {
     /// The step at which to do it.
     #[serde(default)]
     at: u64,
+    /// How often, for `flaky`.
+    #[serde(default)]
+    times: u64,
     /// Begins only once so many stages have begun, by the trace: proof that they run side by side.
     #[serde(default)]
     meet: usize,
@@ -217,6 +220,10 @@ pub enum Mishap {
     Orphan,
     /// Prints a lot of text that is no message.
     Chatter,
+    /// Fails as often as `times` says, and then no more.
+    Flaky,
+    /// Keeps 300 MiB of memory for 20 s.
+    Eat,
 }
 
 fn three() -> u64 {
@@ -313,6 +320,19 @@ fn mishap(params: &CountParams, step: u64, ctx: &Ctx<'_>) -> Result<(), StageErr
         Mishap::Orphan => {
             let script = "while true; do echo left sh - $$ >> \"$DRIL_FAKES_TRACE\"; sleep 0.02; done";
             std::process::Command::new("sh").args(["-c", script]).spawn().map_err(StageError::failed)?;
+        }
+        Mishap::Flaky => {
+            let tries = ctx.checkpoints().join("tries");
+            let before = std::fs::read(&tries).unwrap_or_default().len() as u64;
+            if before < params.times {
+                std::fs::write(&tries, vec![b'x'; before as usize + 1]).map_err(StageError::failed)?;
+                return Err(StageError::failed(format!("try {} is none of the good ones", before + 1)));
+            }
+        }
+        Mishap::Eat => {
+            let eaten = vec![7_u8; 300 << 20];
+            std::thread::sleep(Duration::from_secs(20));
+            drop(eaten);
         }
         Mishap::Chatter => {
             for line in 0..20_000 {

@@ -20,6 +20,7 @@ mod fakes;
 mod hostile;
 mod inspect;
 mod lab;
+mod limits;
 mod parse;
 mod plan;
 mod prop;

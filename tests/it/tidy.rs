@@ -15,7 +15,7 @@ const LAYERS: [(&str, &[&str]); 6] = [
     ("resolve", &["spec"]),
     ("store", &["fsx"]),
     ("plan", &["resolve", "store", "fsx"]),
-    ("exec", &["plan", "resolve", "store", "fsx"]),
+    ("exec", &["plan", "resolve", "spec", "store", "fsx"]),
 ];
 
 /// Packages of the workspace and those that each may depend on.

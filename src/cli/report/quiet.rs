@@ -22,7 +22,7 @@ impl Reporter for Quiet<'_> {
     fn planned(&mut self, _: &Plan<'_>, _: usize) {}
 
     fn event(&mut self, event: &Event) {
-        if let Event::StageFailed { stage, error, log_tail, log } = event {
+        if let Event::StageFailed { stage, error, log_tail, log, .. } = event {
             let id = self.graph.stages.node_weight(*stage).map_or("", |stage| &stage.id);
             print_error(&(failure(id, error, log_tail, log) + "\n"));
         }

@@ -100,7 +100,12 @@ impl<'g> Story<'g> {
                 self.done += 1;
                 Some(self.line(Style::Good, "ran", *stage, &format!(" in {}", duration(*took))))
             }
-            Event::StageFailed { stage, error, log_tail, log } => {
+            Event::Retrying { stage, retry, of, error, pause } => {
+                let first = printable(error.lines().next().unwrap_or_default());
+                let more = format!(" in {} ({retry} of {of}): {first}", duration(*pause));
+                Some(self.line(Style::Notable, "again", *stage, &more))
+            }
+            Event::StageFailed { stage, error, log_tail, log, .. } => {
                 self.done += 1;
                 self.failed.push(*stage);
                 Some(Line::Error(failure(self.id(*stage), error, log_tail, log)))

@@ -4,8 +4,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::{Dispatcher, State, TAIL};
-use crate::exec::Event;
 use crate::exec::work::Failure;
+use crate::exec::{Cause, Event};
 use crate::plan::{self, Cached};
 use crate::resolve::StageIndex;
 use crate::store::{Key, Outputs, StoreError};
@@ -35,8 +35,8 @@ impl Dispatcher<'_, '_> {
                 self.outcome.stopped += 1;
                 self.journal.tell(&Event::Stopped { stage });
             }
-            Failure::Failed(error) => {
-                self.failed(stage, error);
+            Failure::Failed(error, cause) => {
+                self.failed(stage, error, cause);
                 self.skip_readers(stage, stage);
                 for &twin in twins {
                     self.skip(twin, stage);
@@ -60,13 +60,13 @@ impl Dispatcher<'_, '_> {
             }
             // Its outputs can be used, so what depends on it goes on; but it has no record.
             Err(error) => {
-                self.failed(stage, error);
+                self.failed(stage, error, Cause::Store);
                 Ok(())
             }
         }
     }
 
-    pub(super) fn failed(&mut self, stage: StageIndex, error: String) {
+    pub(super) fn failed(&mut self, stage: StageIndex, error: String, cause: Cause) {
         self.state[stage.index()] = State::Over;
         self.outcome.failed += 1;
         if !self.site.options.keep_going {
@@ -74,7 +74,7 @@ impl Dispatcher<'_, '_> {
         }
         let log = self.journal.run().map(|run| run.log(&self.log_stem(stage))).unwrap_or_default();
         let log_tail = crate::fsx::tail(&log, TAIL).unwrap_or_default();
-        self.journal.tell(&Event::StageFailed { stage, error, log_tail, log });
+        self.journal.tell(&Event::StageFailed { stage, error, cause, log_tail, log });
     }
 
     /// Skips all that can not run because `because` failed.
@@ -143,7 +143,7 @@ impl Dispatcher<'_, '_> {
                     },
                     Ok(None) => {}
                     Err(error) => {
-                        self.failed(reader, error.to_string());
+                        self.failed(reader, error.to_string(), Cause::Failed);
                         self.skip_readers(reader, reader);
                     }
                 }

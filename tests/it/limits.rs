@@ -1,0 +1,98 @@
+//! Retries, timeouts and memory limits: what they do, what is told of them, and that no key knows them.
+
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+
+use crate::sealed::{Ended, Sealed, lines};
+
+/// One stage that counts, with these limits, and its parameters.
+fn sealed(limits: &str, with: &str) -> Sealed {
+    Sealed::with(&format!("name: x\nstages:\n  a:\n    kind: count\n{limits}    with: {{ {with} }}\n"))
+}
+
+fn failed(ended: &Ended) -> Value {
+    lines(&ended.stdout)
+        .into_iter()
+        .find(|event| event["event"] == "failed")
+        .unwrap_or_else(|| panic!("{ended:?}"))
+}
+
+#[test]
+fn a_stage_that_fails_is_tried_again_as_often_as_it_may() {
+    let sealed = sealed("    retries: { times: 2, pause: 0.05s }\n", "mishap: flaky, times: 2");
+    let events = sealed.events("--jobs 1");
+    let again: Vec<&Value> = events.iter().filter(|event| event["event"] == "retrying").collect();
+    assert_eq!(again.len(), 2, "{events:?}");
+    assert_eq!((&again[0]["retry"], &again[0]["of"]), (&1.into(), &2.into()));
+    assert_eq!(again[0]["error"], "try 1 is none of the good ones");
+    assert!(again[1]["seconds"].as_f64() > again[0]["seconds"].as_f64(), "pauses grow");
+    assert_eq!(events.last().unwrap()["ran"], 1);
+}
+
+#[test]
+fn after_the_last_try_the_last_error_is_told() {
+    let sealed = sealed("    retries: { times: 1, pause: 0.01s }\n", "mishap: flaky, times: 7");
+    let ended = sealed.run("run p.yaml");
+    assert_eq!(ended.code, 1, "{ended:?}");
+    assert!(ended.stdout.contains("again   a in 0.01 s (1 of 1): try 1 is none"), "{}", ended.stdout);
+    assert!(ended.stderr.contains("`a` failed: try 2 is none of the good ones"), "{}", ended.stderr);
+}
+
+#[test]
+fn a_stage_that_takes_too_long_may_save_its_state_and_goes_on_from_there() {
+    let sealed =
+        sealed("    timeout: 0.4s\n    retries: { times: 40, pause: 0.01s }\n", "to: 30, step_millis: 40");
+    let began = Instant::now();
+    let events = sealed.events("--jobs 1");
+    assert_eq!(events.last().unwrap()["ran"], 1, "{events:?}");
+    assert!(events.iter().any(|event| event["event"] == "retrying"), "1.2 s of work, 0.4 s a try");
+    assert!(began.elapsed() < Duration::from_secs(60));
+}
+
+#[test]
+fn a_timeout_is_told_apart_from_a_failure() {
+    let sealed = sealed("    timeout: 0.2s\n", "to: 1000, step_millis: 20");
+    let ended = sealed.run("run p.yaml --json");
+    assert_eq!(ended.code, 1, "{ended:?}");
+    let event = failed(&ended);
+    assert_eq!(event["cause"], "timeout");
+    assert_eq!(event["error"], "it took longer than the 0.2 s that its `timeout` allows");
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_stage_that_takes_too_much_memory_is_killed_and_that_is_told_apart() {
+    let sealed = sealed("    memory: 150M\n", "mishap: eat");
+    let began = Instant::now();
+    let ended = sealed.run("run p.yaml --json");
+    assert_eq!(ended.code, 1, "{ended:?}");
+    assert!(began.elapsed() < Duration::from_secs(15), "it is killed, not waited for");
+    let event = failed(&ended);
+    assert_eq!(event["cause"], "memory", "{event}");
+    let error = event["error"].as_str().unwrap();
+    assert!(error.contains("more than the 150 MiB that its `memory` allows"), "{error}");
+}
+
+#[test]
+fn limits_enter_no_key() {
+    let sealed = sealed("", "to: 2");
+    sealed.run_ok("run p.yaml");
+    sealed.write(
+        "p.yaml",
+        "name: x\nstages:\n  a:\n    kind: count\n    retries: 3\n    timeout: 2h\n    memory: 8G\n    with: { to: 2 }\n",
+    );
+    assert!(sealed.run_ok("run p.yaml").contains("0 stages executed"));
+}
+
+#[test]
+fn slips_in_limits_are_told_all_at_once_with_their_place() {
+    let text = "    retries: many\n    timeout: soon\n    memory: 0\n";
+    let ended = sealed(text, "to: 2").run("plan p.yaml");
+    assert_eq!(ended.code, 3, "{ended:?}");
+    for part in
+        ["p.yaml:5:14", "p.yaml:6:14", "p.yaml:7:13", "expected a time as 90s", "expected a size as 500M"]
+    {
+        assert!(ended.stderr.contains(part), "{part}: {}", ended.stderr);
+    }
+}
