@@ -19,6 +19,7 @@ mod results;
 mod run;
 mod signals;
 mod terminal;
+pub mod untrusted;
 mod why;
 
 use std::ffi::{OsStr, OsString};

@@ -32,3 +32,4 @@ mod sealed;
 #[cfg(feature = "stages")]
 mod thesis;
 mod tidy;
+mod untrusted;
