@@ -7,7 +7,7 @@ mod lock;
 pub use std::fs::File;
 use std::fs::{OpenOptions, Permissions};
 use std::io::{self, BufRead, Read, Seek, SeekFrom, Write};
-use std::os::unix::fs::PermissionsExt;
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
 use fault::step;
@@ -102,6 +102,16 @@ pub fn read(path: &Path) -> Result<Vec<u8>> {
 pub fn modified(path: &Path) -> Result<Option<std::time::SystemTime>> {
     let Some(meta) = if_there("look at", path, std::fs::symlink_metadata(path))? else { return Ok(None) };
     meta.modified().map(Some).map_err(FsError::at("look at", path))
+}
+
+/// What tells a file from another one and from what it was before: device, number, size and times.
+///
+/// # Errors
+/// It cannot be looked at.
+pub fn identity(path: &Path) -> Result<String> {
+    let meta = std::fs::metadata(path).map_err(FsError::at("look at", path))?;
+    let (modified, changed) = ((meta.mtime(), meta.mtime_nsec()), (meta.ctime(), meta.ctime_nsec()));
+    Ok(format!("{}:{}:{}:{modified:?}:{changed:?}", meta.dev(), meta.ino(), meta.len()))
 }
 
 /// True where anybody has the right to write into a file.

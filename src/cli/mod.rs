@@ -19,6 +19,7 @@ mod results;
 mod run;
 mod signals;
 mod terminal;
+mod unchanged;
 pub mod untrusted;
 mod why;
 

@@ -95,6 +95,20 @@ pub(super) fn publish<'a>(
     Ok(Some(published))
 }
 
+/// True where the folder has so many results, each as its note says.
+///
+/// # Errors
+/// The folder cannot be read.
+pub(super) fn are_whole(folder: &Path, files: usize) -> Result<bool, Error> {
+    let note = read_note(folder)?;
+    for (name, entry) in &note.files {
+        if !holds(&folder.join(name), &entry.digest)? {
+            return Ok(false);
+        }
+    }
+    Ok(note.files.len() == files)
+}
+
 /// The results of a graph by file name; with what is stored, where the stage is done.
 fn wanted<'a>(
     graph: &Graph,

@@ -9,6 +9,7 @@ use serde_json::{Map, Value, json};
 use super::args::RunArgs;
 use super::lockfile::{self, Keys, LockFile};
 use super::report::{self, Ending, Left};
+use super::unchanged::Circumstances;
 use super::{checked, pipeline, results, signals};
 use crate::error::{Error, ErrorKind, exit_codes};
 use crate::exec::{self, ChildRunner, Executed, Options};
@@ -19,9 +20,18 @@ use crate::store::Store;
 
 pub(super) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Error> {
     let began = Instant::now();
+    let circumstances = Circumstances::of(args);
+    if let Some(circumstances) = &circumstances
+        && circumstances.tell(args, began)?
+    {
+        return Ok(ExitCode::SUCCESS);
+    }
     let graph = pipeline::load(&args.pipeline, registry)?;
     let store = pipeline::store(&args.store)?;
     let plan = plan::plan(&graph, &store, &pipeline::base(&args.pipeline))?;
+    // Only of a file that did not change while it was read.
+    let circumstances = circumstances.filter(|before| Circumstances::of(args).as_ref() == Some(before));
+    let files = plan.files.values().map(|file| (file.path.clone(), file.digest)).collect();
     let lock = Locked::read(args)?;
     lock.check_plan(&plan)?;
     let options = options(args, began);
@@ -43,6 +53,9 @@ pub(super) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Erro
     }
     let left =
         if executed.outcome.out_of_time { left(args, &graph, &store, options.threads).ok() } else { None };
+    if let Some(circumstances) = circumstances.filter(|_| error.is_none() && executed.outcome.is_complete()) {
+        circumstances.note(&graph, &store, files, &executed, published.as_ref());
+    }
     // The work is done and in the store: its end is told, whatever became of the copies.
     let mut code = error.as_ref().map_or_else(|| exit_code(&executed), |error| error.kind().exit_code());
     let ending = Ending {

@@ -43,12 +43,7 @@ impl Store {
     /// # Errors
     /// It is there and cannot be read.
     pub fn history(&self, pipeline: &str, profile: &str) -> Result<History, StoreError> {
-        let name: String = format!("{pipeline}-{profile}")
-            .chars()
-            .map(|c| if c.is_alphanumeric() || "._-".contains(c) { c } else { '_' })
-            .take(100)
-            .collect();
-        let path = self.root().join("history-v1").join(format!("{name}.jsonl"));
+        let path = self.history_path(pipeline, profile);
         let bytes = fsx::read_if_there(&path)?.unwrap_or_default();
         let mut history = History { path, ..History::default() };
         for line in bytes.split(|byte| *byte == b'\n').filter(|line| !line.is_empty()) {
@@ -62,6 +57,20 @@ impl Store {
 }
 
 impl Store {
+    fn history_path(&self, pipeline: &str, profile: &str) -> PathBuf {
+        let name: String = format!("{pipeline}-{profile}")
+            .chars()
+            .map(|c| if c.is_alphanumeric() || "._-".contains(c) { c } else { '_' })
+            .take(100)
+            .collect();
+        self.root().join("history-v1").join(format!("{name}.jsonl"))
+    }
+
+    /// As [`History::touch`], of a history that was not read.
+    pub fn touch_history(&self, pipeline: &str, profile: &str) {
+        let _ = fsx::touch(&self.history_path(pipeline, profile));
+    }
+
     /// The latest key of every stage in a history file; lines that cannot be read are passed over.
     pub(super) fn current_keys(&self, path: &Path) -> Result<Vec<Key>, StoreError> {
         let bytes = fsx::read_if_there(path)?.unwrap_or_default();

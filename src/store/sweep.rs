@@ -239,6 +239,10 @@ impl Store {
             }
         }
         if !wish.dry_run {
+            if !swept.records.is_empty() {
+                // Notes of what is there, part of which is not any more.
+                fsx::remove_dir_all(&self.root().join("settled-v1"))?;
+            }
             for path in fsx::list(&self.root().join("locks-v1"))? {
                 if let Ok(Some(lock)) = Lock::try_acquire(&path) {
                     let _ = lock.remove();

@@ -32,4 +32,5 @@ mod sealed;
 #[cfg(feature = "stages")]
 mod thesis;
 mod tidy;
+mod unchanged;
 mod untrusted;
