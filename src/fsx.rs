@@ -2,6 +2,7 @@
 //! which order it becomes durable, can be read in one place.
 
 pub mod fault;
+mod folder;
 mod lock;
 
 pub use std::fs::File;
@@ -11,6 +12,7 @@ use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
 use fault::step;
+pub use folder::{Inside, Links, Outside, Stat, outside, put, walk};
 pub use lock::Lock;
 
 /// What was tried on which path, and the system's answer.
@@ -236,6 +238,20 @@ pub fn rename_into(from: &Path, to: &Path) -> Result<bool> {
     }
 }
 
+/// Makes a symbolic link at `at` that leads to `to`.
+///
+/// # Errors
+/// It cannot be made.
+pub fn symlink(to: &Path, at: &Path) -> Result<()> {
+    std::os::unix::fs::symlink(to, at).map_err(FsError::at("make a link at", at))
+}
+
+/// Size, and time of the last change in nanoseconds, of a regular file, links followed; `None` for anything else.
+pub fn stamp(path: &Path) -> Option<(u64, i128)> {
+    let meta = std::fs::metadata(path).ok().filter(std::fs::Metadata::is_file)?;
+    Some((meta.len(), i128::from(meta.mtime()) * 1_000_000_000 + i128::from(meta.mtime_nsec())))
+}
+
 /// Takes the right to write from everybody.
 ///
 /// # Errors
@@ -324,10 +340,25 @@ pub fn copy_atomic(from: &Path, to: &Path) -> Result<()> {
 /// # Errors
 /// `from` cannot be read or `to` cannot be written.
 pub fn copy(from: &Path, to: &Path) -> Result<()> {
-    let mut source = open(from)?;
+    copy_from(&mut open(from)?, from, to)
+}
+
+/// Copies what `source` reads, which is called `name`, to the new file `to`, without a promise about power failures.
+///
+/// # Errors
+/// `source` cannot be read or `to` cannot be written.
+pub fn copy_from(source: &mut impl Read, name: &Path, to: &Path) -> Result<()> {
     step("write", to)?;
     let mut file = File::create(to).map_err(FsError::at("write", to))?;
-    io::copy(&mut source, &mut file).map(drop).map_err(FsError::at("write", to))
+    let mut buffer = vec![0; 256 * 1024];
+    loop {
+        match source.read(&mut buffer) {
+            Ok(0) => return Ok(()),
+            Ok(count) => file.write_all(&buffer[..count]).map_err(FsError::at("write", to))?,
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(FsError::at("read", name)(error)),
+        }
+    }
 }
 
 fn place(path: &Path, fill: impl FnOnce(&mut File) -> Result<()>) -> Result<()> {

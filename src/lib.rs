@@ -11,12 +11,15 @@
 //! | [`store`] | | | content-addressed blobs, records, locks |
 //! | [`cli`] | arguments | exit code | the only one that prints, reads the environment or exits |
 //!
+//! [`kinds`] has the stage kinds that serve every experiment: any program, and files from outside.
+//!
 //! The engine knows nothing about learning: stage kinds come in through [`dril_stage_api::Registry`].
 
 pub mod cli;
 pub mod error;
 pub mod exec;
 pub mod fsx;
+pub mod kinds;
 pub mod plan;
 pub mod resolve;
 pub mod spec;

@@ -2,13 +2,13 @@
 
 use std::process::ExitCode;
 
-use dril_pipe::cli;
+use dril_pipe::{cli, kinds};
 use dril_stage_api::{Kind, Registry, RegistryError};
 
 fn main() -> Result<ExitCode, RegistryError> {
     #[cfg(feature = "stages")]
-    let kinds: Vec<Kind> = [&dril_kinds::KINDS[..], &dril_report::KINDS].concat();
+    let kinds: Vec<Kind> = [&kinds::KINDS[..], &dril_kinds::KINDS, &dril_report::KINDS].concat();
     #[cfg(not(feature = "stages"))]
-    let kinds: Vec<Kind> = Vec::new();
+    let kinds: Vec<Kind> = kinds::KINDS.to_vec();
     Ok(cli::run(Registry::new(kinds)?, std::env::args_os()))
 }

@@ -86,7 +86,7 @@ pub(super) struct PipelineArgs {
 impl PipelineArgs {
     /// As the resolver takes them.
     pub fn choices(&self) -> Choices {
-        Choices { profile: self.profile.clone(), set: self.set.clone() }
+        Choices { profile: self.profile.clone(), set: self.set.clone(), ..Choices::default() }
     }
 }
 

@@ -1,5 +1,6 @@
 //! From a pipeline file on the command line to its graph: what `run`, `plan` and `graph` begin with.
 
+use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
@@ -23,7 +24,14 @@ pub(super) fn load(args: &PipelineArgs, registry: &Registry) -> Result<Graph, Er
     let name = SourceName(args.file.display().to_string());
     let bytes = fsx::read(&args.file).map_err(|error| Diagnostics::unreadable(&name, &error.source))?;
     let spec = spec::parse_bytes(&bytes, &name)?;
-    Ok(resolve::resolve(&spec, &args.choices(), registry)?)
+    let choices = Choices { environment: environment(), ..args.choices() };
+    Ok(resolve::resolve(&spec, &choices, registry)?)
+}
+
+/// The variables whose names and values are text.
+fn environment() -> BTreeMap<String, String> {
+    let all = std::env::vars_os();
+    all.filter_map(|(name, value)| Some((name.into_string().ok()?, value.into_string().ok()?))).collect()
 }
 
 /// Reads a pipeline file and resolves it with each of its profiles.
@@ -40,7 +48,7 @@ pub(super) fn load_all_profiles(file: &Path, registry: &Registry) -> Result<Vec<
     }
     let mut graphs = Vec::new();
     for profile in profiles {
-        let choices = Choices { profile, ..Choices::default() };
+        let choices = Choices { profile, environment: environment(), ..Choices::default() };
         graphs.push(resolve::resolve(&spec, &choices, registry)?);
     }
     Ok(graphs)

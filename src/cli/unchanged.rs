@@ -131,11 +131,13 @@ impl Circumstances {
         };
         let Ok(note) = serde_json::to_vec(&note) else { return };
         let outputs = executed.outputs.iter().flatten().flat_map(|outputs| outputs.values());
+        let contents: Result<Vec<_>, _> = outputs.map(|stored| store.contents(stored)).collect();
+        let Ok(contents) = contents else { return };
         let settled = Settled {
             stages: graph.stages.node_count() as u64,
             note,
             keys: executed.keys.iter().flatten().copied().collect(),
-            contents: outputs.map(|stored| (stored.digest, stored.bytes)).collect(),
+            contents: contents.into_iter().flatten().collect(),
         };
         let _ = store.settle(&self.name, &self.made_from, &settled);
     }

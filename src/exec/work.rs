@@ -1,5 +1,6 @@
 //! One stage from its job to its record: what a worker thread does while the dispatcher goes on.
 
+use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -7,7 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::SyncSender;
 use std::time::{Duration, Instant};
 
-use dril_stage_api::{Job, JobInput, JobOutput, Message, Ports, Seed};
+use dril_stage_api::{Artifact, Job, JobInput, JobOutput, Message, Output, Ports, Seed};
 
 use super::check::Again;
 use super::dispatch::{Shape, log_stem};
@@ -18,7 +19,7 @@ use crate::plan::{self, OutsideFile};
 use crate::resolve::{self, Source, StageIndex, StageInstance};
 use crate::spec::Limits;
 use crate::store::{
-    self, Blob, Fingerprint, Key, Outputs, RECORD_VERSION, Record, Run, Store, StoreError, Stored,
+    self, Blob, Digest, Fingerprint, Key, Outputs, RECORD_VERSION, Record, Run, Store, StoreError, Stored,
 };
 
 /// How soon a wish to stop is noticed between two tries.
@@ -47,6 +48,8 @@ pub(super) struct Task<'a> {
     pub limits: Limits,
     /// Files from outside that it reads.
     pub files: Vec<&'a OutsideFile>,
+    /// Folders that it reads, and where it expects them.
+    pub folders: Vec<(Digest, PathBuf)>,
     /// All but what is known only afterwards.
     pub record: Record,
     /// A folder that is not there yet.
@@ -107,9 +110,11 @@ impl<'a> Task<'a> {
     ) -> Self {
         let node = &shape.graph.stages[stage];
         let folder = run.temporary().join(key.hex());
+        let (job, folders) = job(node, &key, &folder, done, shape, site);
         Self {
             log: run.log(&log_stem(shape.graph, stage, Some(&key))),
-            job: job(node, &key, &folder, done, shape, site),
+            job,
+            folders,
             record: record(node, done, shape),
             ports: &node.ports,
             worker: node.kind.worker(),
@@ -185,10 +190,20 @@ impl<'a> Task<'a> {
         for file in &self.files {
             let _held = site.store.hold()?;
             self.run.rely_on([], [file.digest])?;
-            site.store.import(&file.path, &file.digest, &self.run)?;
+            if let Some(folder) = &file.folder {
+                self.run.rely_on([], folder.files().map(|(_, file)| file.digest))?;
+            }
+            bring_in(file, site.store, &self.run)?;
         }
         fsx::create_dir(&self.folder)?;
+        if self.ports.outside.is_some() {
+            self.pass_on();
+            return Ok((Vec::new(), Duration::ZERO));
+        }
         fsx::create_dir(&outputs_folder(&self.folder))?;
+        for (digest, path) in &self.folders {
+            site.store.lay_out(digest, path)?;
+        }
         let job_file = self.folder.join("job.json");
         let job = serde_json::to_vec(&self.job).map_err(Failure::by_itself)?;
         fsx::write(&job_file, &job)?;
@@ -209,22 +224,37 @@ impl<'a> Task<'a> {
         Ok((self.take_outputs(site.store)?, took))
     }
 
-    /// Moves what the stage wrote into the store; all of its outputs are there and are files, or none is taken.
+    /// What was brought in from outside is the output, as it is.
+    fn pass_on(&mut self) {
+        for (file, output) in self.files.iter().zip(&self.ports.outputs) {
+            let stored = Stored {
+                digest: file.digest,
+                bytes: file.bytes,
+                extension: output.extension.to_owned(),
+                folder: file.folder.is_some(),
+            };
+            self.record.outputs.insert(output.name.to_owned(), stored);
+        }
+    }
+
+    /// Moves what the stage wrote into the store; all of its outputs are there and are what they should be, or none is
+    /// taken.
     fn take_outputs(&mut self, store: &Store) -> Result<Vec<Blob>, Failure> {
         let mut paths = Vec::with_capacity(self.ports.outputs.len());
         for output in &self.ports.outputs {
             let path = output_path(&self.folder, output.name, output.extension);
-            check_output(output.name, &path)?;
+            check_output(output, &path)?;
             paths.push(path);
         }
         let mut blobs = Vec::with_capacity(paths.len());
         // Until its record is there, nothing else says that a content is needed.
         let _held = store.hold()?;
         for (output, path) in self.ports.outputs.iter().zip(paths) {
-            let blob = store.take(&path)?;
-            self.run.rely_on([], [blob.digest])?;
-            let stored =
-                Stored { digest: blob.digest, bytes: blob.bytes, extension: output.extension.to_owned() };
+            let folder = output.artifact == Artifact::Folder;
+            let blob = if folder { store.take_folder(&path)? } else { store.take(&path)? };
+            self.run.rely_on([], blob.contents())?;
+            let (digest, bytes, extension) = (blob.digest, blob.bytes, output.extension.to_owned());
+            let stored = Stored { digest, bytes, extension, folder };
             self.record.outputs.insert(output.name.to_owned(), stored);
             blobs.push(blob);
         }
@@ -257,6 +287,14 @@ pub(super) fn again(
     }
 }
 
+/// Copies a file or folder from outside into the store.
+fn bring_in(file: &OutsideFile, store: &Store, run: &Run) -> Result<(), StoreError> {
+    match &file.folder {
+        Some(folder) => store.import_folder(&file.path, folder, run),
+        None => store.import(&file.path, &file.digest, run),
+    }
+}
+
 fn run_again(
     stage: StageIndex,
     key: &Key,
@@ -268,12 +306,18 @@ fn run_again(
 ) -> Result<Again, Failure> {
     let node = &shape.graph.stages[stage];
     let Some(outputs) = &done[stage.index()] else { return Ok(Again::Same) };
+    if node.ports.outside.is_some() {
+        return Ok(Again::Same);
+    }
     for file in outside(node, shape) {
-        site.store.import(&file.path, &file.digest, run)?;
+        bring_in(file, site.store, run)?;
     }
     fsx::create_dir(folder)?;
     fsx::create_dir(&outputs_folder(folder))?;
-    let mut job = job(node, key, folder, done, shape, site);
+    let (mut job, folders) = job(node, key, folder, done, shape, site);
+    for (digest, path) in &folders {
+        site.store.lay_out(digest, path)?;
+    }
     // A place of its own: what the first run left must not help the second.
     job.checkpoints = folder.join("again").join("files");
     let job_file = folder.join("job.json");
@@ -291,10 +335,18 @@ fn run_again(
     ended(site.runner.run(&launch, &mut |_| {}), &node.limits)?;
     for output in &node.ports.outputs {
         let path = output_path(folder, output.name, output.extension);
-        check_output(output.name, &path)?;
+        check_output(output, &path)?;
         let Some(stored) = outputs.get(output.name) else { continue };
-        if store::hash_file(&path)?.0 != stored.digest {
-            let at = fsx::first_difference(&path, &site.store.blob_path(&stored.digest))?;
+        let digest = match output.artifact {
+            Artifact::Folder => store::hash_folder(&path)?.digest(),
+            _ => store::hash_file(&path)?.0,
+        };
+        if digest != stored.digest {
+            let at = if stored.folder {
+                0
+            } else {
+                fsx::first_difference(&path, &site.store.blob_path(&stored.digest))?
+            };
             let kept = run.folder().join("differs").join(format!(
                 "{}-{}.{}",
                 key.short(),
@@ -340,29 +392,49 @@ fn job(
     done: &[Option<Arc<Outputs>>],
     shape: Shape<'_>,
     site: Site<'_>,
-) -> Job {
-    let input = |source: &Source| {
+) -> (Job, Vec<(Digest, PathBuf)>) {
+    let mut folders = Vec::new();
+    let mut input = |port: &str, number: usize, source: &Source| {
         let digest = plan::digest_of(source, done, shape.files)?;
-        Some(JobInput { path: site.store.blob_path(&digest), labels: source.labels.clone() })
+        let mut path = site.store.blob_path(&digest);
+        if is_folder(source, shape) {
+            path = folder.join("inputs").join(format!("{port}-{number}"));
+            folders.push((digest, path.clone()));
+        }
+        Some(JobInput { path, labels: source.labels.clone() })
     };
-    let inputs = node
-        .inputs
-        .iter()
-        .map(|wire| (wire.port.to_owned(), wire.sources.iter().filter_map(input).collect()));
+    let mut inputs = BTreeMap::new();
+    for wire in &node.inputs {
+        let items = wire.sources.iter().enumerate();
+        let items = items.filter_map(|(number, source)| input(wire.port, number, source)).collect();
+        inputs.insert(wire.port.to_owned(), items);
+    }
     let outputs = node.ports.outputs.iter().map(|output| {
         (output.name.to_owned(), JobOutput { path: output_path(folder, output.name, output.extension) })
     });
-    Job {
+    let job = Job {
         stage: node.id.as_ref().to_owned(),
         kind: node.kind.name().to_owned(),
         revision: node.kind.revision(),
         params: node.params.clone(),
         // A kind without randomness draws from no stream; the number only fills the field.
         seed: node.seed.unwrap_or(Seed(0)),
-        inputs: inputs.collect(),
+        inputs,
         outputs: outputs.collect(),
+        scratch: folder.join("work"),
         checkpoints: site.store.checkpoints(key).join("files"),
         checkpoint_seconds: site.options.checkpoint_seconds,
+    };
+    (job, folders)
+}
+
+fn is_folder(source: &Source, shape: Shape<'_>) -> bool {
+    match &source.from {
+        resolve::From::File { folder, .. } => *folder,
+        resolve::From::Stage { stage, output } => {
+            let output = shape.graph.stages[*stage].ports.find_output(output);
+            output.is_some_and(|output| output.artifact == Artifact::Folder)
+        }
     }
 }
 
@@ -383,19 +455,23 @@ fn record(node: &StageInstance, done: &[Option<Arc<Outputs>>], shape: Shape<'_>)
 
 /// Where a stage writes an output.
 fn output_path(folder: &Path, name: &str, extension: &str) -> PathBuf {
-    outputs_folder(folder).join(format!("{name}.{extension}"))
+    let folder = outputs_folder(folder);
+    if extension.is_empty() { folder.join(name) } else { folder.join(format!("{name}.{extension}")) }
 }
 
 fn outputs_folder(folder: &Path) -> PathBuf {
     folder.join("outputs")
 }
 
-fn check_output(name: &str, path: &Path) -> Result<(), Failure> {
+fn check_output(output: &Output, path: &Path) -> Result<(), Failure> {
+    let expected = if output.artifact == Artifact::Folder { "folder" } else { "file" };
     let seen = match fsx::entry(path)? {
-        Some(Entry::File(_)) => return Ok(()),
-        None => "was not written",
-        Some(Entry::Folder) => "is a folder, expected a file",
-        Some(Entry::Other) => "is a link or no regular file, expected a file",
+        Some(Entry::File(_)) if expected == "file" => return Ok(()),
+        Some(Entry::Folder) if expected == "folder" => return Ok(()),
+        None => return Err(Failure::by_itself(format!("output `{}` was not written", output.name))),
+        Some(Entry::File(_)) => "is a file",
+        Some(Entry::Folder) => "is a folder",
+        Some(Entry::Other) => "is a link or no regular file",
     };
-    Err(Failure::by_itself(format!("output `{name}` {seen}")))
+    Err(Failure::by_itself(format!("output `{}` {seen}, expected a {expected}", output.name)))
 }

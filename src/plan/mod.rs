@@ -7,9 +7,10 @@ mod explain;
 mod key;
 mod lookup;
 mod order;
+mod outside;
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
 pub use cause::{Cause, Explanation, explain};
@@ -18,11 +19,12 @@ pub use explain::compare;
 pub use key::{NoKey, Work, WorkInput, key_of_record};
 pub(crate) use lookup::{Cached, digest_of, key_of, look_up, record_inputs};
 pub use order::Order;
+pub use outside::OutsideFile;
 use serde::Serialize;
 
 use crate::fsx::{FsError, Lock};
-use crate::resolve::{From, Graph, StageIndex, StageInstance};
-use crate::store::{self, Digest, History, Key, Outputs, Store, StoreError};
+use crate::resolve::{Graph, StageIndex, StageInstance};
+use crate::store::{Digest, History, Key, Outputs, Stats, Store, StoreError};
 
 /// What will happen to each stage of a graph.
 #[derive(Debug)]
@@ -39,15 +41,8 @@ pub struct Plan<'g> {
     position: Vec<usize>,
     /// Keeps what the plan found from being removed, as long as the plan is there.
     pub(crate) held: Option<Lock>,
-}
-
-/// A file from outside, as it was when the plan was made.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct OutsideFile {
-    /// Where it is.
-    pub path: PathBuf,
-    /// The name of its content.
-    pub digest: Digest,
+    /// What was learned about the files from outside, worth keeping.
+    pub(crate) stats: Stats,
 }
 
 /// What will happen to a stage.
@@ -175,7 +170,7 @@ pub enum Reason {
 /// # Errors
 /// A file from outside or the store cannot be read.
 pub fn plan<'g>(graph: &'g Graph, store: &Store, base: &Path) -> Result<Plan<'g>, PlanError> {
-    let files = outside_files(graph, base)?;
+    let (files, stats) = outside::outside_files(graph, base, store)?;
     let order =
         Order::of(graph).map_err(|stage| PlanError::Cycle(graph.stages[stage].id.as_ref().to_owned()))?;
     let held = store.hold()?;
@@ -186,7 +181,7 @@ pub fn plan<'g>(graph: &'g Graph, store: &Store, base: &Path) -> Result<Plan<'g>
     for (at, (index, _)) in steps.iter().enumerate() {
         position[index.index()] = at;
     }
-    Ok(Plan { graph, steps, files, order, history, position, held })
+    Ok(Plan { graph, steps, files, order, history, position, held, stats })
 }
 
 struct Planner<'a> {
@@ -274,24 +269,4 @@ fn union<'a>(mut lists: impl Iterator<Item = &'a Arc<[StageIndex]>>) -> Arc<[Sta
     all.sort_unstable();
     all.dedup();
     all.into()
-}
-
-fn outside_files(graph: &Graph, base: &Path) -> Result<BTreeMap<String, OutsideFile>, PlanError> {
-    let mut files = BTreeMap::new();
-    let mut missing = Vec::new();
-    let sources = graph.stages.node_weights().flat_map(|stage| &stage.inputs).flat_map(|wire| &wire.sources);
-    for source in sources {
-        let From::File { path: written, place } = &source.from else { continue };
-        if files.contains_key(written) {
-            continue;
-        }
-        let path = base.join(written);
-        match store::hash_file(&path) {
-            Ok((digest, _)) => {
-                files.insert(written.clone(), OutsideFile { path, digest });
-            }
-            Err(source) => missing.push(MissingFile { place: place.clone(), source }),
-        }
-    }
-    if missing.is_empty() { Ok(files) } else { Err(PlanError::Files(missing)) }
 }

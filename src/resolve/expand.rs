@@ -1,10 +1,10 @@
 //! From stages to their instances: matrices are multiplied out, and each instance's parameters are put together from
 //! defaults, stage, profile and `--set`, and checked by its kind.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
-use dril_stage_api::{Kind, Needs, Ports, Registry, Seed};
+use dril_stage_api::{Kind, Needs, Outside, Ports, Registry, Seed};
 use serde_json::Value as Json;
 
 use super::axes::{Axes, Axis, AxisValue};
@@ -46,6 +46,8 @@ pub(super) struct Instance {
     pub ports: Ports,
     pub needs: Needs,
     pub seed: Option<Seed>,
+    /// What it brings in from outside, and where the file says so.
+    pub outside: Option<(Outside, Span)>,
 }
 
 impl Expanded<'_> {
@@ -97,6 +99,8 @@ pub(super) struct World<'a> {
     pub axis_places: &'a HashMap<Arc<str>, Span>,
     /// The pipeline's seed; `None` where it is broken, which was reported.
     pub seed: Option<u64>,
+    /// The environment of the run.
+    pub environment: &'a BTreeMap<String, String>,
 }
 
 impl<'a> World<'a> {
@@ -235,7 +239,7 @@ fn instances<'a>(
             all_axes: world.axis_places,
             place: &place,
         };
-        instance_of(expanded, &layers, &scope, world.seed, filler)
+        instance_of(expanded, &layers, &scope, world, filler)
     };
     (0..count).map(build).collect()
 }
@@ -244,19 +248,21 @@ fn instance_of(
     expanded: &Expanded<'_>,
     layers: &[&Node],
     scope: &Scope<'_>,
-    pipeline_seed: Option<u64>,
+    world: &World<'_>,
     filler: &mut Filler<'_>,
 ) -> Option<Instance> {
+    let (pipeline_seed, environment) = (world.seed, world.environment);
     let stage = expanded.stage;
     let with = with(layers, scope, filler);
     let own_seed = stage.seed.as_ref().map(|node| globals::seed(node, scope, filler));
     let (kind, with) = (expanded.kind?, with?);
     let whole = stage.with.as_ref().map_or(stage.name.span, |with| with.span);
-    let checked = kind.normalize(&params::to_json(&with)).and_then(|params| {
-        let (ports, needs) = (kind.ports(&params)?, kind.needs(&params)?);
-        Ok((params, ports, needs))
+    let checked = kind.normalize(&params::to_json(&with)).and_then(|mut params| {
+        from_environment(&kind, &mut params, environment);
+        let (ports, needs, seeded) = (kind.ports(&params)?, kind.needs(&params)?, kind.seeded_by(&params)?);
+        Ok((params, ports, needs, seeded))
     });
-    if own_seed.is_some() && !kind.seeded() {
+    if own_seed.is_some() && checked.as_ref().is_ok_and(|(_, _, _, seeded)| !seeded) {
         let at = stage.seed.as_ref().map_or(stage.name.span, |seed| seed.span);
         filler.problems.add(|| {
             Problem::new(
@@ -271,10 +277,14 @@ fn instance_of(
         });
     }
     match checked {
-        Ok((params, ports, needs)) => {
+        Ok((params, ports, needs, seeded)) => {
             let seed = own_seed.unwrap_or(pipeline_seed);
-            let seed = if kind.seeded() { Some(Seed(seed?)) } else { None };
-            Some(Instance { params, ports, needs, seed })
+            let seed = if seeded { Some(Seed(seed?)) } else { None };
+            let outside = ports.outside.clone().map(|outside| {
+                let at = with.get(outside.param).map_or(whole, |(_, node)| node.span);
+                (outside, at)
+            });
+            Some(Instance { params, ports, needs, seed, outside })
         }
         Err(found) => {
             // A field that was set aside may leave its parent wrong; that is no news.
@@ -288,6 +298,16 @@ fn instance_of(
                 filler.problems.add(|| params::explain(problem, &with, &stage.name.text, whole));
             }
             None
+        }
+    }
+}
+
+/// Fills in the variables that the parameters name without a value.
+fn from_environment(kind: &Kind, params: &mut Json, environment: &BTreeMap<String, String>) {
+    let variables = kind.environment().and_then(|field| params.get_mut(field)?.as_object_mut());
+    for (name, value) in variables.into_iter().flatten().filter(|(_, value)| value.is_null()) {
+        if let Some(found) = environment.get(name) {
+            *value = Json::String(found.clone());
         }
     }
 }

@@ -77,12 +77,16 @@ pub enum From {
         /// Which output.
         output: &'static str,
     },
-    /// A file from outside, relative to the pipeline file's folder unless absolute.
+    /// A file or folder from outside, relative to the pipeline file's folder unless absolute.
     File {
         /// As written in the pipeline file.
         path: String,
         /// `thesis.yaml:14:9`, for messages.
         place: String,
+        /// True for a folder.
+        folder: bool,
+        /// The content that it must have, in hexadecimal digits.
+        blake3: Option<String>,
     },
 }
 

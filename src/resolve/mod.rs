@@ -22,7 +22,7 @@ mod select;
 mod template;
 mod wiring;
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
 pub use graph::{From, Graph, Source, StageIndex, StageInstance, Wire};
@@ -43,6 +43,9 @@ pub struct Choices {
     pub profile: Option<String>,
     /// `--set` arguments as given: `dril.total_steps=100000`. Later ones win.
     pub set: Vec<String>,
+    /// The environment of the run, as far as it is text: stages that name a variable are given its value, and run anew
+    /// when it changes.
+    pub environment: BTreeMap<String, String>,
 }
 
 /// Resolves a pipeline file.
@@ -53,7 +56,7 @@ pub fn resolve(spec: &Spec, choices: &Choices, registry: &Registry) -> Result<Gr
     let mut sources = Sources::new(spec.source.clone());
     let mut problems = spec.problems.clone();
     let layers = Layers::read(spec, choices, &mut sources, &mut problems);
-    let graph = resolve_layers(spec, &layers, registry, &sources, &mut problems);
+    let graph = resolve_layers(spec, &layers, registry, &choices.environment, &sources, &mut problems);
     match graph {
         Some(graph) if problems.is_empty() => Ok(graph),
         _ => Err(problems.into_diagnostics(&sources)),
@@ -65,6 +68,7 @@ fn resolve_layers(
     spec: &Spec,
     layers: &Layers<'_>,
     registry: &Registry,
+    environment: &BTreeMap<String, String>,
     sources: &Sources,
     problems: &mut Problems,
 ) -> Option<Graph> {
@@ -78,8 +82,16 @@ fn resolve_layers(
         Some(node) => globals::seed(node, &scope("the pipeline"), &mut filler),
         None => Some(0),
     };
-    let world =
-        World { spec, layers, registry, globals: &globals, axes: &axes, axis_places: &axis_places, seed };
+    let world = World {
+        spec,
+        layers,
+        registry,
+        globals: &globals,
+        axes: &axes,
+        axis_places: &axis_places,
+        seed,
+        environment,
+    };
     let stages = expand::expand(&world, &mut filler);
     build::graph(&world, stages, &mut filler)
 }

@@ -2,7 +2,7 @@
 
 use std::collections::{HashMap, HashSet};
 
-use dril_stage_api::{Arity, Input, Labels};
+use dril_stage_api::{Arity, Artifact, Input, Labels, Outside};
 
 use super::expand::{Expanded, Instance, World};
 use super::graph::{From, Source, StageIndex, Wire};
@@ -60,6 +60,9 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
             all_axes: self.world.axis_places,
             place: &place,
         };
+        if let Some((outside, at)) = &instance.outside {
+            return self.wire_from_outside(stage, instance, outside, *at);
+        }
         let wired = self.by_port(stage, instance);
         let mut wires = Vec::new();
         let mut missing = Vec::new();
@@ -84,6 +87,32 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
             self.missing(stage, &missing);
         }
         wires
+    }
+
+    /// The wire of a stage whose input is named by its parameters, at `at`.
+    fn wire_from_outside(
+        &mut self,
+        stage: &'a Expanded<'a>,
+        instance: &'a Instance,
+        outside: &'a Outside,
+        at: Span,
+    ) -> Wires {
+        for (key, _) in &stage.inputs {
+            self.filler.problems.add(|| {
+                let name = crate::spec::node::shorten(&key.text);
+                Problem::new(key.span, format!("stage `{}` has no input `{name}`", stage.name()))
+                    .hint(format!("what it brings in is named by `with: {{ {}: ... }}`", outside.param))
+            });
+        }
+        let Some(input) = instance.ports.inputs.first() else { return Wires::new() };
+        let from = From::File {
+            path: outside.path.clone(),
+            place: self.filler.sources.get(at).place(at),
+            folder: input.artifact == Artifact::Folder,
+            blake3: outside.blake3.clone(),
+        };
+        let sources = vec![Source { from, labels: Labels::new() }];
+        vec![(Wire { port: input.name, many: false, sources }, at)]
     }
 
     /// For an instance that is broken itself: whether the stages that it names exist.
@@ -128,6 +157,7 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
                 Problem::new(key.span, format!("stage `{}` has no input `{name}`", stage.name()))
                     .label(format!("not an input of kind `{kind}`"))
                     .hint(suggest::hint(&key.text, "its inputs", known()))
+                    .maybe_hint(instance.ports.hint.map(str::to_owned))
             });
             if let Some(meant) = suggest::nearest(&key.text, known()) {
                 wired.entry(meant).or_insert((*key, *node));
@@ -166,7 +196,8 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
                 What::File(path) => {
                     let place = self.filler.sources.get(item.node.span).place(item.node.span);
                     let labels = name_label(item, connection);
-                    connection.found.push(Source { from: From::File { path: path.clone(), place }, labels });
+                    let from = From::File { path: path.clone(), place, folder: false, blake3: None };
+                    connection.found.push(Source { from, labels });
                 }
                 What::Stage(text) => self.stage(text, item, connection),
             }

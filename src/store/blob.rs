@@ -1,7 +1,10 @@
 //! Contents: hashed, made read-only, and moved to the place that their name says.
 
 use std::fs::File;
-use std::path::Path;
+use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
+
+use rayon::prelude::*;
 
 use super::{Digest, Run, Store, StoreError};
 use crate::fsx::{self, Entry, FsError};
@@ -30,8 +33,10 @@ pub struct Blob {
     /// Its length.
     pub bytes: u64,
     file: File,
-    path: std::path::PathBuf,
+    path: PathBuf,
     made_folder: bool,
+    /// Contents that this one lists, which become durable before it.
+    parts: Vec<(Digest, PathBuf)>,
 }
 
 impl Store {
@@ -40,8 +45,13 @@ impl Store {
     /// # Errors
     /// It cannot be read, or the store cannot be written.
     pub fn take(&self, path: &Path) -> Result<Blob, StoreError> {
-        let mut file = fsx::open(path)?;
+        let file = fsx::open(path)?;
         let (digest, bytes) = hash(&file, path)?;
+        self.adopt(file, path, digest, bytes)
+    }
+
+    /// As [`Store::take`], of a file whose content is known.
+    fn adopt(&self, mut file: File, path: &Path, digest: Digest, bytes: u64) -> Result<Blob, StoreError> {
         let target = self.blob_path(&digest);
         let mut made_folder = false;
         match same_content(&target, digest, bytes)? {
@@ -55,7 +65,7 @@ impl Store {
                 made_folder = fsx::rename_into(path, &target)?;
             }
         }
-        Ok(Blob { digest, bytes, file, path: target, made_folder })
+        Ok(Blob { digest, bytes, file, path: target, made_folder, parts: Vec::new() })
     }
 
     /// Copies a file from outside into the store, where nobody changes it while stages read it.
@@ -70,22 +80,55 @@ impl Store {
             return Ok(());
         }
         let copy = run.temporary().join(format!("import-{digest}"));
-        fsx::copy(path, &copy)?;
-        let (copied, _) = hash_file(&copy)?;
-        if copied != *digest {
+        let mut hashing = Hashing { file: fsx::open(path)?, hasher: blake3::Hasher::new() };
+        fsx::copy_from(&mut hashing, path, &copy)?;
+        if hashing.hasher.finalize().as_bytes() != digest.as_bytes() {
             fsx::remove_file(&copy)?;
             return Err(StoreError::Changed(path.to_owned()));
         }
-        Ok(self.take(&copy)?.sync()?)
+        let bytes = hashing.hasher.count();
+        Ok(self.adopt(fsx::open(&copy)?, &copy, *digest, bytes)?.sync()?)
+    }
+}
+
+/// A file whose content is hashed as it is read.
+struct Hashing {
+    file: File,
+    hasher: blake3::Hasher,
+}
+
+impl Read for Hashing {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        let count = self.file.read(buffer)?;
+        self.hasher.write_all(&buffer[..count])?;
+        Ok(count)
     }
 }
 
 impl Blob {
+    /// As the list of these contents.
+    pub(super) fn with_parts(self, parts: Vec<(Digest, PathBuf)>) -> Self {
+        Self { parts, ..self }
+    }
+
+    /// The name of the content, and of those that it lists.
+    pub fn contents(&self) -> impl Iterator<Item = Digest> {
+        std::iter::once(self.digest).chain(self.parts.iter().map(|(digest, _)| *digest))
+    }
+
     /// Makes the content and its name durable.
     ///
     /// # Errors
     /// The disk refuses.
     pub fn sync(&self) -> fsx::Result<()> {
+        self.parts.par_iter().try_for_each(|(_, part)| fsx::sync(&fsx::open(part)?, part))?;
+        let mut folders: Vec<&Path> = self.parts.iter().filter_map(|(_, part)| part.parent()).collect();
+        folders.sort_unstable();
+        folders.dedup();
+        folders.par_iter().try_for_each(|folder| fsx::sync_dir(folder))?;
+        if let Some(above) = folders.first().and_then(|folder| folder.parent()) {
+            fsx::sync_dir(above)?;
+        }
         fsx::sync(&self.file, &self.path)?;
         if let Some(folder) = self.path.parent() {
             fsx::sync_dir(folder)?;

@@ -4,12 +4,14 @@
 mod blob;
 mod bundle;
 mod digest;
+mod folder;
 mod history;
 mod in_use;
 mod past;
 mod record;
 mod run;
 mod settled;
+mod stats;
 mod sweep;
 mod usage;
 mod verify;
@@ -19,12 +21,15 @@ use std::path::{Path, PathBuf};
 pub use blob::{Blob, hash_file};
 pub use bundle::{Imported, Refusal};
 pub use digest::{Digest, Key, NotHex};
+pub use folder::{Folder, FolderEntry, FolderFile, hash_folder};
 pub use history::History;
 pub use in_use::InUse;
 pub use past::{Fate, PastRun, RunEnd, StageOfRun};
 pub use record::{Fingerprint, Outputs, RECORD_VERSION, Record, RecordInput, RecordItem, Stored};
 pub use run::Run;
 pub use settled::Settled;
+pub use stats::Stats;
+pub(crate) use stats::now;
 pub use sweep::{Sweep, Swept};
 pub use usage::Usage;
 pub use verify::{Damage, Verified};
@@ -134,13 +139,14 @@ impl Store {
         Ok(matches!(fsx::entry(&self.record_path(key))?, Some(Entry::File(_))))
     }
 
-    /// The first output whose file is not there in its full length.
+    /// The first output whose file, or one of whose files, is not there in its full length.
     ///
     /// # Errors
     /// The store cannot be read.
     pub fn lost<'o>(&self, outputs: &'o Outputs) -> Result<Option<&'o str>, StoreError> {
         for (name, stored) in outputs {
-            if fsx::entry(&self.blob_path(&stored.digest))? != Some(Entry::File(stored.bytes)) {
+            let there = fsx::entry(&self.blob_path(&stored.digest))? == Some(Entry::File(stored.bytes));
+            if !there || stored.folder && !self.has_folder(&stored.digest)? {
                 return Ok(Some(name));
             }
         }

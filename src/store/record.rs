@@ -49,6 +49,9 @@ pub struct Stored {
     pub bytes: u64,
     /// The ending that its output declares, without the dot.
     pub extension: String,
+    /// True for a folder: the content is then the list of its files (see [`Store::contents`](super::Store::contents)).
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub folder: bool,
 }
 
 /// What was wired to one input.

@@ -15,8 +15,12 @@ fn store() -> (tempfile::TempDir, Store) {
 }
 
 fn sample() -> Record {
-    let stored =
-        |text: &str| Stored { digest: Digest::of(text.as_bytes()), bytes: 3, extension: "txt".into() };
+    let stored = |text: &str| Stored {
+        digest: Digest::of(text.as_bytes()),
+        bytes: 3,
+        extension: "txt".into(),
+        folder: false,
+    };
     let item = |from: &str, labels: &[(&str, &str)]| RecordItem {
         from: from.into(),
         labels: labels.iter().map(|(axis, value)| ((*axis).into(), (*value).into())).collect(),

@@ -48,6 +48,8 @@ pub struct Swept {
 struct Result_ {
     key: Key,
     record: Record,
+    /// All that its outputs are made of.
+    contents: Vec<Digest>,
     used: SystemTime,
     goes: bool,
 }
@@ -110,7 +112,11 @@ impl Store {
         for (key, record) in self.records()? {
             let made = self.made_at(&key)?.unwrap_or(UNIX_EPOCH);
             let used = used.get(&key).map_or(made, |used| made.max(*used));
-            results.push(Result_ { key, record, used, goes: false });
+            let mut contents = Vec::new();
+            for stored in record.outputs.values() {
+                contents.extend(self.contents(stored)?.into_iter().map(|(digest, _)| digest));
+            }
+            results.push(Result_ { key, record, contents, used, goes: false });
         }
         results.sort_by_key(|result| (result.used, result.key));
         Ok(results)
@@ -135,10 +141,8 @@ impl Store {
         swept: &mut Swept,
     ) {
         let mut users: HashMap<Digest, usize> = HashMap::new();
-        for digest in
-            results.iter().flat_map(|result| result.record.outputs.values()).map(|stored| stored.digest)
-        {
-            *users.entry(digest).or_default() += 1;
+        for digest in results.iter().flat_map(|result| &result.contents) {
+            *users.entry(*digest).or_default() += 1;
         }
         let mut total: u64 = users.keys().filter_map(|digest| sizes.get(digest)).sum();
         let now = SystemTime::now();
@@ -155,11 +159,11 @@ impl Store {
                 continue;
             }
             result.goes = true;
-            for stored in result.record.outputs.values() {
-                if let Some(count) = users.get_mut(&stored.digest) {
+            for digest in &result.contents {
+                if let Some(count) = users.get_mut(digest) {
                     *count = count.saturating_sub(1);
                     if *count == 0 {
-                        total -= sizes.get(&stored.digest).copied().unwrap_or_default();
+                        total -= sizes.get(digest).copied().unwrap_or_default();
                     }
                 }
             }
@@ -176,14 +180,10 @@ impl Store {
         sizes: &HashMap<Digest, u64>,
         swept: &mut Swept,
     ) -> Result<(), StoreError> {
-        let made: HashSet<Digest> = results
-            .iter()
-            .flat_map(|result| result.record.outputs.values())
-            .map(|stored| stored.digest)
-            .collect();
+        let made: HashSet<Digest> = results.iter().flat_map(|result| &result.contents).copied().collect();
         let mut needed = in_use.digests.clone();
         for result in results.iter().filter(|result| !result.goes || in_use.keys.contains(&result.key)) {
-            needed.extend(result.record.outputs.values().map(|stored| stored.digest));
+            needed.extend(&result.contents);
             let read = result.record.inputs.iter().flat_map(|input| &input.items).map(|item| item.digest);
             needed.extend(read.filter(|digest| !made.contains(digest)));
         }

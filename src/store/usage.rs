@@ -53,8 +53,10 @@ impl Store {
             let name = record.stage.split('[').next().unwrap_or_default().to_owned();
             let room = usage.stages.entry((record.kind.clone(), name)).or_default();
             room.files += 1;
-            for stored in record.outputs.values().filter(|stored| named.insert(stored.digest)) {
-                room.bytes += stored.bytes;
+            for stored in record.outputs.values() {
+                let contents = self.contents(stored)?;
+                let new = contents.into_iter().filter(|(digest, _)| named.insert(*digest));
+                room.bytes += new.map(|(_, bytes)| bytes).sum::<u64>();
             }
         }
         for (path, name) in self.sharded_files("blobs-v1")? {

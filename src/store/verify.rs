@@ -169,10 +169,13 @@ impl Store {
             let error = "it is the record of other work".to_owned();
             return Ok(Some(Damage::BadRecord { path, error }));
         }
-        let lost = match record.outputs.iter().find(|(_, stored)| bad.contains(&stored.digest)) {
-            Some((name, _)) => Some(name.as_str()),
-            None => self.lost(&record.outputs)?,
-        };
+        let mut lost = self.lost(&record.outputs)?;
+        for (name, stored) in &record.outputs {
+            if self.contents(stored)?.iter().any(|(digest, _)| bad.contains(digest)) {
+                lost = Some(name.as_str());
+                break;
+            }
+        }
         Ok(lost.map(|output| Damage::LostOutput {
             path,
             stage: record.stage.clone(),

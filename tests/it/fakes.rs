@@ -25,7 +25,7 @@ pub const KINDS: [Kind; 4] = [
 
 /// The registry of the fakes.
 pub fn registry() -> Registry {
-    Registry::new(KINDS).unwrap()
+    Registry::new([&KINDS[..], &dril_pipe::kinds::KINDS].concat()).unwrap()
 }
 
 /// Writes its text.

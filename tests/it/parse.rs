@@ -15,7 +15,7 @@ fn name() -> SourceName {
 /// All the way, with everything that is said put into words.
 fn read(bytes: &[u8], set: &[String]) -> Result<usize, Diagnostics> {
     let spec = parse_bytes(bytes, &name())?;
-    let choices = Choices { profile: None, set: set.to_vec() };
+    let choices = Choices { set: set.to_vec(), ..Choices::default() };
     resolve(&spec, &choices, &samples::registry()).map(|graph| graph.stages.node_count())
 }
 

@@ -144,7 +144,7 @@ fn files_that_are_missing_or_no_files_are_all_told_with_their_place() {
     let error = plan::plan(&graph, &lab.store, lab.folder.path()).unwrap_err();
     assert!(matches!(&error, PlanError::Files(files) if files.len() == 2));
     let text = error.to_string();
-    assert!(text.starts_with("scenario:1:1: cannot open `"), "{text}");
+    assert!(text.starts_with("scenario:1:1: cannot read `"), "{text}");
     assert!(text.contains("missing.txt") && text.ends_with("it is a folder, expected a file"), "{text}");
 }
 

@@ -18,6 +18,7 @@ fn try_graph(text: &str, profile: Option<&str>, set: &[&str]) -> Result<Graph, D
     let choices = Choices {
         profile: profile.map(str::to_owned),
         set: set.iter().map(|set| (*set).to_owned()).collect(),
+        ..Choices::default()
     };
     resolve(&parse(text, &name())?, &choices, &samples::registry())
 }
@@ -266,7 +267,9 @@ fn a_fan_in_takes_lists_names_and_files() {
 #[test]
 fn a_file_knows_where_the_pipeline_file_names_it() {
     let graph = graph("stages:\n  table: { kind: tabulate, inputs: { scores: { file: a.csv } } }");
-    let From::File { path, place } = &instance(&graph, "table").inputs[0].sources[0].from else { panic!() };
+    let From::File { path, place, .. } = &instance(&graph, "table").inputs[0].sources[0].from else {
+        panic!()
+    };
     assert_eq!((path.as_str(), place.as_str()), ("a.csv", "sample.yaml:3:54"));
 }
 

@@ -17,7 +17,7 @@ pub const KINDS: [Kind; 5] = [
 
 /// The registry of the kinds.
 pub fn registry() -> Registry {
-    Registry::new(KINDS).unwrap()
+    Registry::new([&KINDS[..], &dril_pipe::kinds::KINDS].concat()).unwrap()
 }
 
 /// Trains an expert.

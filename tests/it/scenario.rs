@@ -124,7 +124,15 @@ fn wires(
                     let stage = index[name.as_str()];
                     (From::Stage { stage, output: graph[stage].ports.outputs[0].name }, name)
                 }
-                Part::File(path) => (From::File { path: path.clone(), place: "scenario:1:1".into() }, path),
+                Part::File(path) => (
+                    From::File {
+                        path: path.clone(),
+                        place: "scenario:1:1".into(),
+                        folder: false,
+                        blake3: None,
+                    },
+                    path,
+                ),
             };
             let labels = if many { Labels::from([("name".to_owned(), name.clone())]) } else { Labels::new() };
             Source { from, labels }

@@ -23,7 +23,7 @@ fn graph(profile: &str, set: &[&str]) -> Graph {
 fn graph_of(file: &str, profile: &str, set: &[&str]) -> Graph {
     let spec = parse(&text(file), &SourceName(format!("pipelines/{file}"))).unwrap();
     let set = set.iter().map(|set| (*set).to_owned()).collect();
-    let choices = Choices { profile: Some(profile.to_owned()), set };
+    let choices = Choices { profile: Some(profile.to_owned()), set, ..Choices::default() };
     resolve(&spec, &choices, &registry()).unwrap_or_else(|said| panic!("{said}"))
 }
 

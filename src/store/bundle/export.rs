@@ -31,7 +31,9 @@ impl Store {
                     record.stage
                 )));
             }
-            blobs.extend(record.outputs.values().map(|stored| (stored.digest, stored.bytes)));
+            for stored in record.outputs.values() {
+                blobs.extend(self.contents(stored)?);
+            }
         }
         // Files from outside, as far as they are still there.
         for item in records.values().flat_map(|record| &record.inputs).flat_map(|input| &input.items) {

@@ -130,6 +130,16 @@ impl Import<'_> {
         for (digest, bytes) in wanted {
             self.take_blob(archive, path, &folder, digest, bytes)?;
         }
+        // What is in a folder is known once its list is there, and hashed.
+        let mut inside: BTreeMap<Digest, u64> = BTreeMap::new();
+        for stored in
+            records.values().flat_map(|record| record.outputs.values()).filter(|stored| stored.folder)
+        {
+            inside.extend(self.store.contents(stored)?.into_iter().skip(1));
+        }
+        for (digest, bytes) in inside {
+            self.take_blob(archive, path, &folder, digest, Some(bytes))?;
+        }
         for (key, record) in records {
             if let Some(output) = self.store.lost(&record.outputs)? {
                 let why = format!("its output `{output}` is neither in the archive nor in the store");

@@ -108,6 +108,11 @@ impl<'a> Ctx<'a> {
         if self.cancelled() { Err(StageError::Cancelled) } else { Ok(()) }
     }
 
+    /// A folder for this stage to work in. Made by whoever needs it, and removed once the stage has ended.
+    pub fn scratch(&self) -> &'a Path {
+        &self.job.scratch
+    }
+
     /// A folder of this stage's own that outlives a kill. What the stage leaves here it finds again when the same work
     /// (equal key) is started anew; it is emptied once the stage is done.
     pub fn checkpoints(&self) -> &'a Path {

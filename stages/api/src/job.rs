@@ -29,6 +29,8 @@ pub struct Job {
     pub inputs: BTreeMap<String, Vec<JobInput>>,
     /// The file to write for each output.
     pub outputs: BTreeMap<String, JobOutput>,
+    /// A folder for this stage to work in; it may not be there yet, and is removed afterwards.
+    pub scratch: PathBuf,
     /// A folder of this stage's own that outlives a kill; emptied once the stage is done.
     pub checkpoints: PathBuf,
     /// Seconds between checkpoints.
@@ -39,7 +41,7 @@ pub struct Job {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct JobInput {
-    /// Where it is; read-only.
+    /// Where it is, a file or a folder; read-only.
     pub path: PathBuf,
     /// Where it comes from; empty for inputs that take one artifact.
     #[serde(default)]

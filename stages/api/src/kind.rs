@@ -12,6 +12,8 @@ pub struct Kind {
     revision: u32,
     about: &'static str,
     seeded: bool,
+    environment: Option<&'static str>,
+    seeded_by: fn(&Value) -> Result<bool, Vec<ParamProblem>>,
     schema: fn() -> schemars::Schema,
     normalize: fn(&Value) -> Result<Value, Vec<ParamProblem>>,
     ports: fn(&Value) -> Result<Ports, Vec<ParamProblem>>,
@@ -52,6 +54,8 @@ impl Kind {
             revision: D::REVISION,
             about: D::ABOUT,
             seeded: D::SEEDED,
+            environment: D::ENVIRONMENT,
+            seeded_by: seeded_by::<D>,
             schema: schema_of::<D>,
             normalize: normalize::<D>,
             ports: ports::<D>,
@@ -83,9 +87,22 @@ impl Kind {
         self.about
     }
 
-    /// False where the seed stays out of the key.
+    /// False where the seed stays out of the key, unless the parameters say otherwise.
     pub fn seeded(&self) -> bool {
         self.seeded
+    }
+
+    /// False where the seed stays out of the key of a stage with these parameters.
+    ///
+    /// # Errors
+    /// As [`Kind::normalize`].
+    pub fn seeded_by(&self, params: &Value) -> Result<bool, Vec<ParamProblem>> {
+        (self.seeded_by)(params)
+    }
+
+    /// See [`Describe::ENVIRONMENT`].
+    pub fn environment(&self) -> Option<&'static str> {
+        self.environment
     }
 
     /// The JSON Schema of its parameters.
@@ -156,6 +173,10 @@ fn normalize<D: Describe>(value: &Value) -> Result<Value, Vec<ParamProblem>> {
 
 fn ports<D: Describe>(value: &Value) -> Result<Ports, Vec<ParamProblem>> {
     Ok(D::ports(&read::<D>(value)?))
+}
+
+fn seeded_by<D: Describe>(value: &Value) -> Result<bool, Vec<ParamProblem>> {
+    Ok(D::seeded(&read::<D>(value)?))
 }
 
 fn needs<D: Describe>(value: &Value) -> Result<Needs, Vec<ParamProblem>> {

@@ -31,7 +31,7 @@ pub use job::{Job, JobInput, JobOutput, Labels};
 pub use kind::Kind;
 pub use needs::Needs;
 pub use params::{ParamProblem, Problems};
-pub use ports::{Arity, Input, Output, Ports};
+pub use ports::{Arity, Input, Output, Outside, Ports, port_name};
 pub use progress::{Message, Progress};
 pub use registry::{Registry, RegistryError};
 pub use seed::{Seed, StreamRng};

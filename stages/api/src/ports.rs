@@ -1,5 +1,8 @@
 //! The named, typed inputs and outputs of a stage.
 
+use std::collections::HashSet;
+use std::sync::{LazyLock, Mutex, PoisonError};
+
 use crate::Artifact;
 
 /// How many artifacts an input takes.
@@ -47,6 +50,36 @@ pub struct Ports {
     pub inputs: Vec<Input>,
     /// What the stage writes: all of them, each time.
     pub outputs: Vec<Output>,
+    /// What the stage brings in from outside, where that is all it does: its one input is filled by the engine, and its
+    /// one output is the same content. Nothing is run for it.
+    pub outside: Option<Outside>,
+    /// How to get a further input, where that is in the user's hands; for messages.
+    pub hint: Option<&'static str>,
+}
+
+/// A file or folder from outside that the parameters of a stage name.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Outside {
+    /// The parameter that names it: where messages point, and whose file's folder the path is relative to.
+    pub param: &'static str,
+    /// Where it is, relative to the folder of the pipeline file unless absolute.
+    pub path: String,
+    /// The content that it must have, as 64 hexadecimal digits of blake3.
+    pub blake3: Option<String>,
+}
+
+/// A port's name that comes from the parameters of a stage, as long-lived as one that is written in the code: wires,
+/// plans and records refer to it. It stays in memory until the program ends; there are few distinct names.
+pub fn port_name(text: &str) -> &'static str {
+    static NAMES: LazyLock<Mutex<HashSet<&'static str>>> = LazyLock::new(Mutex::default);
+    // A set is whole after every step, so a thread that died with the lock has broken nothing.
+    let mut names = NAMES.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(name) = names.get(text) {
+        return name;
+    }
+    let name: &'static str = String::leak(text.to_owned());
+    names.insert(name);
+    name
 }
 
 impl Ports {
@@ -86,7 +119,9 @@ impl Ports {
         self
     }
 
-    fn with_input(mut self, input: Input) -> Self {
+    /// Adds an input.
+    #[must_use]
+    pub fn with_input(mut self, input: Input) -> Self {
         self.inputs.push(input);
         self
     }

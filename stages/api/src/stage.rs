@@ -20,6 +20,10 @@ pub trait Describe: 'static {
     /// False where the stage draws no random number: the seed then stays out of its key.
     const SEEDED: bool = true;
 
+    /// The parameter whose empty values are filled in from the environment of the run: a map of variables. With their
+    /// values they enter the key.
+    const ENVIRONMENT: Option<&'static str> = None;
+
     /// What stands under `with:`. Unknown fields must be denied (`#[serde(deny_unknown_fields)]`); every field that
     /// has a default should say so with `#[serde(default)]`, and doc comments appear in `dril-pipe kinds`.
     type Params: DeserializeOwned + Serialize + JsonSchema;
@@ -31,6 +35,12 @@ pub trait Describe: 'static {
 
     /// The inputs and outputs.
     fn ports(params: &Self::Params) -> Ports;
+
+    /// True where a stage with these parameters draws random numbers.
+    fn seeded(params: &Self::Params) -> bool {
+        let _ = params;
+        Self::SEEDED
+    }
 
     /// What it takes of the machine.
     fn needs(params: &Self::Params) -> Needs {

@@ -42,6 +42,7 @@ impl Bench {
             seed: Seed(seed),
             inputs: BTreeMap::new(),
             outputs: outputs.collect(),
+            scratch: folder.path().join("scratch"),
             checkpoints,
             checkpoint_seconds: 120.0,
         };

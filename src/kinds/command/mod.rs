@@ -1,0 +1,249 @@
+//! `command`: any program as a stage. It runs in a folder of its own, sees its inputs there by name, and what it leaves
+//! under the names of its outputs is its result.
+//!
+//! All that the program is told enters the key: the command line, the names of its files, the variables it is given with
+//! their values, the contents of its inputs. So the paths that it sees are short, relative, and the same everywhere.
+
+mod fields;
+mod run;
+mod template;
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use dril_stage_api::{Arity, Artifact, Ctx, Describe, Input, Ports, Problems, Stage, StageError, port_name};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+pub use fields::{CommandInput, CommandOutput, Variables, Word};
+use fields::{is_inside, normal};
+use template::Piece;
+
+/// Runs a program.
+pub struct Command;
+
+/// Parameters of `command`.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CommandParams {
+    /// The program and its arguments, as they are: no shell reads them. In each of them `{inputs.name}`,
+    /// `{outputs.name}`, `{checkpoints}` and `{seed}` stand for paths and the seed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    run: Option<Vec<Word>>,
+    /// A text for `sh -eu` instead, with the same `{...}`; a `$` for the shell is written `$$`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    shell: Option<String>,
+    /// Inputs that need more than their name in the command: a path in the working folder (`raw: data/raw.csv`; a folder
+    /// ends with `/`), or a map of `path`, `type`, `many` and `optional`.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    inputs: BTreeMap<String, CommandInput>,
+    /// What the program writes: a path in the working folder (`clean: clean.csv`; a folder ends with `/`), or a map of
+    /// `path` and `type`.
+    outputs: BTreeMap<String, CommandOutput>,
+    /// The variables that it sees: a list of names, taken from the environment of the run, or a map with values.
+    /// They enter the key with their values.
+    #[serde(default, skip_serializing_if = "Variables::is_empty")]
+    env: Variables,
+    /// Names of variables that it sees too, whose values do not enter the key: tokens, proxies.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pass_env: Vec<String>,
+}
+
+impl CommandParams {
+    /// The command line as templates.
+    fn words(&self) -> Vec<&str> {
+        let run = self.run.iter().flatten().map(|word| &*word.0);
+        run.chain(self.shell.as_deref()).collect()
+    }
+
+    /// Every text in which `{...}` means something.
+    fn templates(&self) -> impl Iterator<Item = &str> {
+        self.words().into_iter().chain(self.env.values())
+    }
+
+    /// The names of all inputs: those that are declared, and those that the command names.
+    fn input_names(&self) -> BTreeSet<&str> {
+        let named = self.templates().filter_map(|text| template::pieces(text).ok()).flatten();
+        let named = named.filter_map(|piece| if let Piece::Input(name) = piece { Some(name) } else { None });
+        named.chain(self.inputs.keys().map(String::as_str)).collect()
+    }
+
+    fn input(&self, name: &str) -> CommandInput {
+        self.inputs.get(name).cloned().unwrap_or_default()
+    }
+
+    /// Where an input lies in the working folder.
+    fn input_path(&self, name: &str) -> String {
+        let declared = self.inputs.get(name).and_then(|input| input.path.as_deref());
+        declared.map_or_else(|| format!("inputs/{name}"), normal)
+    }
+
+    /// Where an output is expected in the working folder.
+    fn output_path(&self, name: &str) -> String {
+        match self.outputs.get(name) {
+            Some(output) => output.path.as_deref().map_or_else(|| output.default_path(name), normal),
+            None => format!("outputs/{name}"),
+        }
+    }
+}
+
+impl Describe for Command {
+    const KIND: &'static str = "command";
+    const REVISION: u32 = 1;
+    const ABOUT: &'static str = "runs any program, with declared inputs and outputs";
+    const SEEDED: bool = false;
+    const ENVIRONMENT: Option<&'static str> = Some("env");
+    type Params = CommandParams;
+
+    fn check(params: &CommandParams, problems: &mut Problems) {
+        check_command(params, problems);
+        check_names(params, problems);
+        check_paths(params, problems);
+    }
+
+    fn ports(params: &CommandParams) -> Ports {
+        let mut ports = Ports::new();
+        for name in params.input_names() {
+            let input = params.input(name);
+            let arity = match (input.many, input.optional) {
+                (true, _) => Arity::Many,
+                (false, true) => Arity::Optional,
+                (false, false) => Arity::One,
+            };
+            let (name, about) = (port_name(name), "an input of the command");
+            ports = ports.with_input(Input { name, artifact: input.artifact(), arity, about });
+        }
+        for (name, output) in &params.outputs {
+            let extension = port_name(output.extension());
+            ports = ports.output(port_name(name), output.artifact(), extension, "an output of the command");
+        }
+        ports.hint = Some(
+            "a command has the inputs that it names, as `{inputs.name}`, or that `with: { inputs: ... }` lists",
+        );
+        ports
+    }
+
+    fn seeded(params: &CommandParams) -> bool {
+        params.templates().any(|text| template::pieces(text).is_ok_and(|found| found.contains(&Piece::Seed)))
+    }
+}
+
+impl Stage for Command {
+    type Kind = Self;
+
+    fn run(params: &CommandParams, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
+        run::run(params, ctx)
+    }
+}
+
+fn check_command(params: &CommandParams, problems: &mut Problems) {
+    match (&params.run, &params.shell) {
+        (Some(_), Some(_)) => problems.add("shell", "`run` and `shell` are both given, expected one of them"),
+        (None, None) => {
+            problems.add("", "neither `run` nor `shell` is given, expected the command as one of them")
+        }
+        (Some(words), None) if words.first().is_none_or(|word| word.0.is_empty()) => {
+            problems.add("run", "`run` is empty, expected a program and its arguments");
+        }
+        (None, Some(text)) if text.trim().is_empty() => {
+            problems.add("shell", "`shell` is empty, expected a text for `sh`");
+        }
+        _ => {}
+    }
+    if params.outputs.is_empty() {
+        problems
+            .add("outputs", "`outputs` is empty, expected at least one: what a stage leaves is its outputs");
+    }
+    let words = params.run.iter().flatten().enumerate().map(|(at, word)| (format!("run.{at}"), &*word.0));
+    let shell = params.shell.iter().map(|text| ("shell".to_owned(), text.as_str()));
+    let env =
+        params.env.0.iter().filter_map(|(name, value)| Some((format!("env.{name}"), value.as_deref()?)));
+    for (path, text) in words.chain(shell).chain(env) {
+        match template::pieces(text) {
+            Err(message) => problems.add(&path, message),
+            Ok(_) if text.contains('\0') => {
+                problems.add(&path, "it has a zero byte in it, which no command can hold")
+            }
+            Ok(pieces) => {
+                for piece in pieces {
+                    if let Piece::Output(name) = piece
+                        && !params.outputs.contains_key(name)
+                    {
+                        problems.add(&path, format!("`{{outputs.{name}}}` is not declared under `outputs`"));
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn check_names(params: &CommandParams, problems: &mut Problems) {
+    let names = params.inputs.keys().map(|name| ("inputs", name));
+    for (map, name) in names.chain(params.outputs.keys().map(|name| ("outputs", name))) {
+        if !template::is_name(name) {
+            problems.add(
+                &format!("{map}.{name}"),
+                format!("`{name}` cannot be a name, expected a letter, then letters, digits, `-` or `_`"),
+            );
+        }
+    }
+    for name in params
+        .env
+        .0
+        .keys()
+        .map(|name| ("env", name))
+        .chain(params.pass_env.iter().map(|name| ("pass_env", name)))
+    {
+        let (field, name) = name;
+        if name.is_empty() || name.contains(['=', '\0']) || name.starts_with("DRIL_") {
+            problems.add(field, format!("`{}` cannot be a variable here", name.escape_debug()));
+        } else if field == "pass_env" && params.env.0.contains_key(name) {
+            problems.add(field, format!("`{name}` stands in `env` already, expected it in one of them"));
+        }
+    }
+    for (name, input) in &params.inputs {
+        if input.many && input.optional {
+            problems
+                .add(&format!("inputs.{name}"), "`many` and `optional` are both given, expected one of them");
+        }
+    }
+    for (name, output) in &params.outputs {
+        if output.artifact == Some(Artifact::Any) {
+            problems.add(
+                &format!("outputs.{name}"),
+                "an output is `any`, expected what it is, such as `file` or `table`",
+            );
+        }
+    }
+}
+
+/// Paths stay inside the working folder, and no two of them meet.
+fn check_paths(params: &CommandParams, problems: &mut Problems) {
+    let inputs = params.input_names().into_iter().map(|name| ("inputs", name, params.input_path(name)));
+    let outputs = params.outputs.keys().map(|name| ("outputs", name.as_str(), params.output_path(name)));
+    let mut taken: Vec<(String, String)> =
+        [("checkpoints", "checkpoints"), ("inputs.json", "the list of inputs")]
+            .map(|(path, what)| (path.to_owned(), what.to_owned()))
+            .into();
+    for (map, name, path) in inputs.chain(outputs) {
+        let at = format!("{map}.{name}");
+        if !is_inside(&path) {
+            let message =
+                format!("`{path}` leaves the working folder, expected a relative path without `..`");
+            problems.add(&at, message);
+            continue;
+        }
+        if map == "inputs" && (path == "outputs" || path.starts_with("outputs/")) {
+            problems.add(&at, format!("`{path}` is in `outputs/`, where only outputs lie"));
+        }
+        let meets =
+            taken.iter().find(|(other, _)| is_same_or_below(other, &path) || is_same_or_below(&path, other));
+        if let Some((other, what)) = meets {
+            problems.add(&at, format!("`{path}` meets `{other}` ({what}), expected paths apart"));
+        }
+        taken.push((path, at));
+    }
+}
+
+fn is_same_or_below(path: &str, above: &str) -> bool {
+    path.strip_prefix(above).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
+}

@@ -1,0 +1,296 @@
+//! What a command does when it runs: its inputs are laid out, the program is started, its outputs are collected.
+
+use std::collections::BTreeMap;
+use std::ffi::OsString;
+use std::os::unix::process::ExitStatusExt;
+use std::path::{Path, PathBuf};
+use std::process::{Command as Process, ExitStatus, Stdio};
+use std::time::Duration;
+
+use dril_stage_api::{Arity, Artifact, Ctx, StageError};
+use serde_json::json;
+
+use super::template::{self, Piece};
+use super::{Command, CommandParams};
+use crate::fsx::{self, Entry};
+use dril_stage_api::Describe;
+
+/// Variables that every command sees beside its own: none of them is to change a result.
+const ALWAYS: [&str; 7] = [
+    "PATH",
+    "HOME",
+    "OMP_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "RAYON_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+];
+
+/// The same for everybody, so that the order of `sort` and the words of a date do not depend on who runs it.
+const FIXED: [(&str, &str); 2] = [("LC_ALL", "C.UTF-8"), ("TZ", "UTC")];
+
+/// Where the program keeps its checkpoints, in its working folder.
+const CHECKPOINTS: &str = "checkpoints";
+/// The list of inputs with their labels.
+const INPUTS: &str = "inputs.json";
+
+/// How long to wait for the news that we were asked to stop, once the program died of a signal.
+const LATE: Duration = Duration::from_millis(200);
+
+/// Runs the command of `params`.
+pub(super) fn run(params: &CommandParams, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
+    let work = ctx.scratch().to_owned();
+    let inputs = lay_out(params, ctx, &work)?;
+    let texts = Texts { params, inputs: &inputs.paths, seed: ctx.seed().0 };
+    let mut process = texts.process()?;
+    process.current_dir(&work).stdin(Stdio::null()).env_clear();
+    process.envs(environment(params, &texts, &work)?);
+    let before = inputs.sizes();
+    let status = process.status().map_err(|error| not_started(&process, &error))?;
+    inputs.check_unchanged(&before)?;
+    if !status.success() {
+        return Err(ended(params, &process, status, ctx));
+    }
+    collect(params, ctx, &work)
+}
+
+/// The inputs in the working folder.
+struct Laid {
+    /// By input, relative to the working folder.
+    paths: BTreeMap<&'static str, Vec<String>>,
+    /// The files themselves, with the name that the program knows each by.
+    files: Vec<(String, PathBuf)>,
+}
+
+/// Makes the working folder, with a link for each artifact.
+fn lay_out(params: &CommandParams, ctx: &Ctx<'_>, work: &Path) -> Result<Laid, StageError> {
+    fsx::create_dir_all(&work.join("outputs")).map_err(StageError::failed)?;
+    let ports = Command::ports(params);
+    let mut laid = Laid { paths: BTreeMap::new(), files: Vec::new() };
+    let mut list = serde_json::Map::new();
+    for input in &ports.inputs {
+        let path = params.input_path(input.name);
+        let mut paths = Vec::new();
+        let mut entries = Vec::new();
+        for (number, item) in ctx.inputs(input.name).into_iter().enumerate() {
+            let path = if input.arity == Arity::Many { format!("{path}/{number}") } else { path.clone() };
+            link(item.path, &work.join(&path))?;
+            entries.push(json!({ "path": path, "labels": item.labels }));
+            laid.files.push((path.clone(), item.path.to_owned()));
+            paths.push(path);
+        }
+        list.insert(input.name.to_owned(), entries.into());
+        laid.paths.insert(input.name, paths);
+    }
+    if ports.inputs.iter().any(|input| input.arity == Arity::Many) {
+        let text = format!("{:#}\n", serde_json::Value::Object(list));
+        fsx::write(&work.join(INPUTS), text.as_bytes()).map_err(StageError::failed)?;
+    }
+    for name in params.outputs.keys() {
+        if let Some(folder) = work.join(params.output_path(name)).parent() {
+            fsx::create_dir_all(folder).map_err(StageError::failed)?;
+        }
+    }
+    link(ctx.checkpoints(), &work.join(CHECKPOINTS))?;
+    Ok(laid)
+}
+
+fn link(to: &Path, at: &Path) -> Result<(), StageError> {
+    if let Some(folder) = at.parent() {
+        fsx::create_dir_all(folder).map_err(StageError::failed)?;
+    }
+    fsx::symlink(to, at).map_err(StageError::failed)
+}
+
+impl Laid {
+    /// Size and time of the last change of each file; of a folder, nothing.
+    fn sizes(&self) -> Vec<Option<(u64, i128)>> {
+        self.files.iter().map(|(_, path)| fsx::stamp(path)).collect()
+    }
+
+    /// Inputs are shared with all that read them. One that the program wrote to is broken for everybody, and is taken out
+    /// of the store, so that whoever needs it next has it made again.
+    fn check_unchanged(&self, before: &[Option<(u64, i128)>]) -> Result<(), StageError> {
+        let after = self.sizes();
+        let changed =
+            self.files.iter().zip(before.iter().zip(&after)).filter(|(_, (before, after))| before != after);
+        let mut names = Vec::new();
+        for ((name, path), _) in changed {
+            let _ = fsx::remove_file(path);
+            names.push(format!("`{name}`"));
+        }
+        if names.is_empty() {
+            return Ok(());
+        }
+        Err(StageError::failed(format!(
+            "the command changed its input {}, which is read-only and shared with other stages; the spoilt content was \
+             removed and is made again by the next run: let the command work on a copy",
+            names.join(" and ")
+        )))
+    }
+}
+
+/// Where the texts of a command get their paths from.
+struct Texts<'a> {
+    params: &'a CommandParams,
+    inputs: &'a BTreeMap<&'static str, Vec<String>>,
+    seed: u64,
+}
+
+impl Texts<'_> {
+    /// The program with its arguments.
+    fn process(&self) -> Result<Process, StageError> {
+        if let Some(text) = &self.params.shell {
+            let mut process = Process::new("/bin/sh");
+            process.arg("-euc").arg(self.fill(text)?);
+            return Ok(process);
+        }
+        let mut words = Vec::new();
+        for word in self.params.run.iter().flatten() {
+            match template::pieces(&word.0).map_err(StageError::failed)?.as_slice() {
+                // Alone, an input of many artifacts is as many words, and one that is left out is none.
+                [Piece::Input(name)] => words.extend(self.paths(name).iter().cloned()),
+                _ => words.push(self.fill(&word.0)?),
+            }
+        }
+        let mut words = words.into_iter();
+        let Some(program) = words.next() else {
+            return Err(StageError::failed("the command has no program"));
+        };
+        let mut process = Process::new(program);
+        process.args(words);
+        Ok(process)
+    }
+
+    fn fill(&self, text: &str) -> Result<String, StageError> {
+        let pieces = template::pieces(text).map_err(StageError::failed)?;
+        Ok(pieces
+            .into_iter()
+            .map(|piece| match piece {
+                Piece::Text(text) => text.to_owned(),
+                Piece::Input(name) => self.paths(name).join(" "),
+                Piece::Output(name) => self.params.output_path(name),
+                Piece::Checkpoints => CHECKPOINTS.to_owned(),
+                Piece::Seed => self.seed.to_string(),
+            })
+            .collect())
+    }
+
+    fn paths(&self, name: &str) -> &[String] {
+        self.inputs.get(name).map(Vec::as_slice).unwrap_or_default()
+    }
+}
+
+/// All that the program sees of the environment.
+fn environment(
+    params: &CommandParams,
+    texts: &Texts<'_>,
+    work: &Path,
+) -> Result<Vec<(String, OsString)>, StageError> {
+    let mut all: Vec<(String, OsString)> = FIXED.map(|(name, value)| (name.to_owned(), value.into())).into();
+    let passed = ALWAYS.iter().copied().chain(params.pass_env.iter().map(String::as_str));
+    all.extend(passed.filter_map(|name| Some((name.to_owned(), std::env::var_os(name)?))));
+    all.push(("TMPDIR".to_owned(), work.into()));
+    all.push(("DRIL_CHECKPOINTS".to_owned(), CHECKPOINTS.into()));
+    all.push(("DRIL_INPUTS".to_owned(), INPUTS.into()));
+    for (name, value) in &params.env.0 {
+        if let Some(value) = value {
+            all.push((name.clone(), texts.fill(value)?.into()));
+        }
+    }
+    Ok(all)
+}
+
+fn not_started(process: &Process, error: &std::io::Error) -> StageError {
+    let program = process.get_program().to_string_lossy();
+    let mend = match error.kind() {
+        std::io::ErrorKind::NotFound => {
+            "is it installed, and on the PATH? a script is an input, run by its interpreter"
+        }
+        std::io::ErrorKind::PermissionDenied => {
+            "inputs are no programs: run a script by its interpreter, as in `[python3, \"{inputs.script}\"]`"
+        }
+        _ => "give a program that this system can run",
+    };
+    StageError::failed(format!("cannot start `{program}`: {error}; {mend}"))
+}
+
+/// Why there is no result: the program was asked to stop, or failed.
+fn ended(params: &CommandParams, process: &Process, status: ExitStatus, ctx: &Ctx<'_>) -> StageError {
+    if status.signal().is_some_and(|signal| signal == 15 || signal == 2) && !ctx.cancelled() {
+        // The signal goes to all of the group; ours may still be on its way.
+        std::thread::sleep(LATE);
+    }
+    if ctx.cancelled() {
+        return StageError::Cancelled;
+    }
+    let what = match &params.shell {
+        Some(_) => "the shell".to_owned(),
+        None => shown(process),
+    };
+    let how = match (status.code(), status.signal()) {
+        (Some(127), _) if params.shell.is_some() => "exit code 127: a program in it was not found".to_owned(),
+        (Some(code), _) => format!("exit code {code}"),
+        (None, Some(9)) => {
+            "signal 9 (SIGKILL: by somebody, or by the system because memory ran out)".to_owned()
+        }
+        (None, Some(11)) => "signal 11 (SIGSEGV: a wrong access to memory)".to_owned(),
+        (None, signal) => format!("signal {}", signal.unwrap_or_default()),
+    };
+    StageError::failed(format!("{what} ended with {how}; its log says more"))
+}
+
+/// The command line, shortened.
+fn shown(process: &Process) -> String {
+    let words = std::iter::once(process.get_program()).chain(process.get_args());
+    let line: Vec<String> = words.map(|word| word.to_string_lossy().into_owned()).collect();
+    let line = line.join(" ");
+    let short: String = line.chars().take(80).collect();
+    if short.len() < line.len() { format!("`{short}…`") } else { format!("`{short}`") }
+}
+
+/// Moves what the program wrote to where the engine takes it from.
+fn collect(params: &CommandParams, ctx: &Ctx<'_>, work: &Path) -> Result<(), StageError> {
+    let mut wrong = Vec::new();
+    for (name, output) in &params.outputs {
+        let path = params.output_path(name);
+        let expected = if output.artifact() == Artifact::Folder { "folder" } else { "file" };
+        let seen = match fsx::entry(&work.join(&path)).map_err(StageError::failed)? {
+            Some(Entry::File(_)) if expected == "file" => None,
+            Some(Entry::Folder) if expected == "folder" => None,
+            Some(Entry::File(_)) => Some("is a file"),
+            Some(Entry::Folder) => Some("is a folder"),
+            Some(Entry::Other) => Some("is a link or something else that is no file"),
+            None => Some("was not written"),
+        };
+        match seen {
+            Some(seen) => wrong.push(format!("output `{name}` {seen}, expected a {expected} at `{path}`")),
+            None => fsx::rename(&work.join(&path), ctx.output(name)?).map_err(StageError::failed)?,
+        }
+    }
+    let mut left = Vec::new();
+    leftovers(&work.join("outputs"), "outputs", &mut left).map_err(StageError::failed)?;
+    if !left.is_empty() {
+        let more = if left.len() > 5 { format!(" and {} more", left.len() - 5) } else { String::new() };
+        let names: Vec<String> = left.iter().take(5).map(|name| format!("`{name}`")).collect();
+        wrong.push(format!(
+            "{}{more} is no declared output, and only these belong in `outputs/`: declare it, or write it elsewhere in \
+             the working folder, which is removed",
+            names.join(", ")
+        ));
+    }
+    if wrong.is_empty() { Ok(()) } else { Err(StageError::failed(wrong.join("; "))) }
+}
+
+/// What is still in `outputs/`; folders alone are nothing.
+fn leftovers(folder: &Path, name: &str, found: &mut Vec<String>) -> fsx::Result<()> {
+    for path in fsx::list(folder)? {
+        let file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let name = format!("{name}/{}", file.escape_debug());
+        match fsx::entry(&path)? {
+            Some(Entry::Folder) => leftovers(&path, &name, found)?,
+            _ => found.push(name),
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,121 @@
+//! `import`: a file or folder from outside, known by its content. Nothing is run for it: the engine hashes what is there
+//! when it plans, and brings it into the store when something is to read it.
+
+use std::path::Path;
+
+use dril_stage_api::{
+    Arity, Artifact, Ctx, Describe, Input, Needs, Outside, Ports, Problems, Stage, StageError, port_name,
+};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Brings a file or folder in.
+pub struct Import;
+
+/// Parameters of `import`.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ImportParams {
+    /// The file or folder, relative to the folder of the pipeline file; a folder ends with `/`.
+    path: String,
+    /// What it is, where the stages that read it care: `policy`, `scores`, `table`, ... Without it, a file or, where the
+    /// path ends with `/`, a folder.
+    #[serde(default, rename = "type", skip_serializing_if = "Option::is_none")]
+    artifact: Option<Artifact>,
+    /// The content that it must have: the 64 digits that `b3sum` prints; for a folder those that the error names.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    blake3: Option<String>,
+}
+
+impl ImportParams {
+    fn artifact(&self) -> Artifact {
+        let plain = if self.path.ends_with('/') { Artifact::Folder } else { Artifact::File };
+        self.artifact.unwrap_or(plain)
+    }
+
+    fn extension(&self) -> &str {
+        let ending = Path::new(&self.path).extension().and_then(|ending| ending.to_str());
+        match self.artifact() {
+            Artifact::Folder => "",
+            artifact => ending.filter(|ending| is_ending(ending)).unwrap_or(artifact.extension()),
+        }
+    }
+}
+
+/// The path without the `/` that marks a folder.
+fn bare(path: &str) -> &str {
+    let bare = path.trim_end_matches('/');
+    if bare.is_empty() { path } else { bare }
+}
+
+/// True for what may stand behind the dot of a file's name.
+pub(super) fn is_ending(text: &str) -> bool {
+    !text.is_empty()
+        && text.len() <= 20
+        && text.chars().all(|c| c.is_ascii_alphanumeric() || "_-".contains(c))
+}
+
+impl Describe for Import {
+    const KIND: &'static str = "import";
+    const REVISION: u32 = 1;
+    const ABOUT: &'static str = "brings a file or folder in from outside, known by its content";
+    const SEEDED: bool = false;
+    type Params = ImportParams;
+
+    fn check(params: &ImportParams, problems: &mut Problems) {
+        if params.path.is_empty() || params.path.contains('\0') {
+            problems.add(
+                "path",
+                format!("`path` is `{}`, expected a file or folder", params.path.escape_debug()),
+            );
+        }
+        match params.artifact {
+            Some(Artifact::Any) => {
+                problems.add("type", "`type` is `any`, expected what it is, such as `file` or `folder`")
+            }
+            Some(artifact) if artifact != Artifact::Folder && params.path.ends_with('/') => {
+                problems.add(
+                    "type",
+                    format!("`type` is `{artifact}`, but a path that ends with `/` is a folder"),
+                );
+            }
+            _ => {}
+        }
+        if let Some(digest) = &params.blake3 {
+            let is_hex = |c: char| c.is_ascii_digit() || ('a'..='f').contains(&c);
+            if digest.len() != 64 || !digest.chars().all(is_hex) {
+                problems.add("blake3", "`blake3` is no digest, expected 64 hexadecimal digits in lower case");
+            }
+        }
+    }
+
+    fn ports(params: &ImportParams) -> Ports {
+        let content = "what was found there";
+        let mut ports = Ports::new()
+            .with_input(Input {
+                name: "outside",
+                artifact: params.artifact(),
+                arity: Arity::One,
+                about: "filled from `path`",
+            })
+            .output("content", params.artifact(), port_name(params.extension()), content);
+        ports.outside = Some(Outside {
+            param: "path",
+            path: bare(&params.path).to_owned(),
+            blake3: params.blake3.clone(),
+        });
+        ports
+    }
+
+    fn needs(_: &ImportParams) -> Needs {
+        Needs::seconds(0.1)
+    }
+}
+
+impl Stage for Import {
+    type Kind = Self;
+
+    fn run(_: &ImportParams, _: &mut Ctx<'_>) -> Result<(), StageError> {
+        Err(StageError::failed("the engine brings files in itself; this kind is never run"))
+    }
+}

@@ -1,0 +1,213 @@
+//! Files and folders from outside: what is in them now, by content. What has not changed since it was last hashed is not
+//! read again; what has to be read is read side by side.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use super::{MissingFile, PlanError};
+use crate::fsx::{self, FsError, Inside, Links, Outside, Stat};
+use crate::resolve::{From, Graph};
+use crate::store::{self, Digest, Folder, FolderEntry, FolderFile, Stats, Store};
+
+/// How often a file that changes while it is read is read anew.
+const TRIES: usize = 3;
+
+/// A file or folder from outside, as it was when the plan was made.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct OutsideFile {
+    /// Where it is.
+    pub path: PathBuf,
+    /// The name of its content; of a folder, of the list of its files.
+    pub digest: Digest,
+    /// The length of that.
+    pub bytes: u64,
+    /// What is in it, where it is a folder.
+    pub folder: Option<Arc<Folder>>,
+}
+
+/// What a pipeline file says of something from outside.
+#[derive(Clone, Copy)]
+struct Wanted<'g> {
+    path: &'g str,
+    place: &'g str,
+    folder: bool,
+    blake3: Option<&'g str>,
+}
+
+/// The content of each file, with what the file system says of it.
+type Contents = BTreeMap<PathBuf, (Digest, Stat)>;
+
+/// What was found at a path.
+enum Found {
+    File(Stat),
+    Folder(Vec<Inside>),
+}
+
+/// The contents of all that a graph names from outside, by path as the pipeline file has it.
+///
+/// # Errors
+/// Something cannot be read, or is not what the pipeline file says; all of it at once.
+pub(super) fn outside_files(
+    graph: &Graph,
+    base: &Path,
+    store: &Store,
+) -> Result<(BTreeMap<String, OutsideFile>, Stats), PlanError> {
+    let wanted = wanted(graph);
+    if wanted.is_empty() {
+        return Ok((BTreeMap::new(), Stats::default()));
+    }
+    let mut stats = store.stats();
+    let mut missing = Vec::new();
+    let mut looked: BTreeMap<&str, (PathBuf, Found)> = BTreeMap::new();
+    for one in &wanted {
+        if looked.contains_key(one.path) {
+            continue;
+        }
+        let path = base.join(one.path);
+        match look(&path, one.folder) {
+            Ok(found) => drop(looked.insert(one.path, (path, found))),
+            Err(source) => missing.push(MissingFile { place: one.place.to_owned(), source }),
+        }
+    }
+    let digests = match digests(&looked, &mut stats) {
+        Ok(digests) => digests,
+        Err(errors) => {
+            missing.extend(errors.into_iter().map(|(written, source)| {
+                let place = wanted.iter().find(|one| one.path == written).map_or("", |one| one.place);
+                MissingFile { place: place.to_owned(), source }
+            }));
+            return Err(PlanError::Files(missing));
+        }
+    };
+    let mut files = BTreeMap::new();
+    for (written, (path, found)) in looked {
+        files.insert(written.to_owned(), outside_file(path, found, &digests));
+    }
+    missing.extend(wanted.iter().filter_map(|one| differs(one, files.get(one.path)?)));
+    if missing.is_empty() { Ok((files, stats)) } else { Err(PlanError::Files(missing)) }
+}
+
+fn wanted(graph: &Graph) -> Vec<Wanted<'_>> {
+    let wires = graph.stages.node_weights().flat_map(|stage| &stage.inputs);
+    let sources = wires.flat_map(|wire| &wire.sources);
+    let mut seen = BTreeSet::new();
+    let wanted = sources.filter_map(|source| match &source.from {
+        From::File { path, place, folder, blake3 } => {
+            Some(Wanted { path, place, folder: *folder, blake3: blake3.as_deref() })
+        }
+        From::Stage { .. } => None,
+    });
+    wanted.filter(|one| seen.insert((one.path, one.folder, one.blake3))).collect()
+}
+
+fn look(path: &Path, folder: bool) -> fsx::Result<Found> {
+    let refuse = |why: &'static str| Err(FsError::at("read", path)(io::Error::other(why)));
+    match (fsx::outside(path)?, folder) {
+        (Outside::File(stat), false) => Ok(Found::File(stat)),
+        (Outside::Folder, true) => Ok(Found::Folder(fsx::walk(path, Links::Follow)?)),
+        (Outside::Folder, false) => refuse("it is a folder, expected a file"),
+        (Outside::File(_), true) => refuse("it is a file, expected a folder"),
+    }
+}
+
+/// The content of every file; those that are not known are read.
+fn digests<'w>(
+    looked: &BTreeMap<&'w str, (PathBuf, Found)>,
+    stats: &mut Stats,
+) -> Result<Contents, Vec<(&'w str, FsError)>> {
+    let mut known = BTreeMap::new();
+    let mut unknown = Vec::new();
+    for (written, (path, found)) in looked {
+        let files: Vec<(PathBuf, Stat)> = match found {
+            Found::File(stat) => vec![(path.clone(), *stat)],
+            Found::Folder(inside) => {
+                inside.iter().filter_map(|inside| Some((path.join(&inside.path), inside.file?))).collect()
+            }
+        };
+        for (path, stat) in files {
+            match stats.digest(&absolute(&path), &stat) {
+                Some(digest) => drop(known.insert(path, (digest, stat))),
+                None => unknown.push((*written, path)),
+            }
+        }
+    }
+    let read: Vec<_> = unknown.par_iter().map(|(written, path)| (*written, path, read(path))).collect();
+    let mut errors = Vec::new();
+    for (written, path, result) in read {
+        match result {
+            Ok(Read { digest, stat, began, steady }) => {
+                if steady {
+                    stats.learn(&absolute(path), stat, began, digest);
+                }
+                known.insert(path.clone(), (digest, stat));
+            }
+            Err(error) => errors.push((written, error)),
+        }
+    }
+    if errors.is_empty() { Ok(known) } else { Err(errors) }
+}
+
+fn absolute(path: &Path) -> PathBuf {
+    std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
+}
+
+struct Read {
+    digest: Digest,
+    stat: Stat,
+    began: i64,
+    /// True where the file did not change while it was read.
+    steady: bool,
+}
+
+fn read(path: &Path) -> fsx::Result<Read> {
+    let mut tries = 0;
+    loop {
+        tries += 1;
+        let began = store::now();
+        let Outside::File(before) = fsx::outside(path)? else {
+            return Err(FsError::at("read", path)(io::Error::other("it is no file any more")));
+        };
+        let (digest, _) = store::hash_file(path)?;
+        let steady = fsx::outside(path)? == Outside::File(before);
+        if steady || tries == TRIES {
+            return Ok(Read { digest, stat: before, began, steady });
+        }
+    }
+}
+
+fn outside_file(path: PathBuf, found: Found, digests: &Contents) -> OutsideFile {
+    let of = |path: &Path| digests.get(path).copied();
+    match found {
+        Found::File(stat) => {
+            let (digest, stat) = of(&path).unwrap_or((Digest::of(&[]), stat));
+            OutsideFile { path, digest, bytes: stat.bytes, folder: None }
+        }
+        Found::Folder(inside) => {
+            let entries = inside.into_iter().map(|inside| {
+                let file = inside.file.and_then(|_| of(&path.join(&inside.path)));
+                let file = file.map(|(digest, stat)| FolderFile {
+                    digest,
+                    bytes: stat.bytes,
+                    executable: stat.executable,
+                });
+                FolderEntry { path: inside.path, file }
+            });
+            let folder = Folder::new(entries.collect());
+            let list = folder.to_bytes();
+            let (digest, bytes) = (Digest::of(&list), list.len() as u64);
+            OutsideFile { path, digest, bytes, folder: Some(Arc::new(folder)) }
+        }
+    }
+}
+
+/// Something is not what the pipeline file says that it is.
+fn differs(wanted: &Wanted<'_>, found: &OutsideFile) -> Option<MissingFile> {
+    let expected = wanted.blake3.filter(|expected| **expected != found.digest.hex())?;
+    let why = format!("its content is {}, expected {expected}", found.digest);
+    let source = FsError::at("use", &found.path)(io::Error::other(why));
+    Some(MissingFile { place: wanted.place.to_owned(), source })
+}

@@ -1,0 +1,275 @@
+//! Folders as artifacts. Every file of a folder is a blob of its own; the folder is a blob that lists them, and its digest
+//! is the folder's name. So folders that share files share their blobs, and a stage is given links instead of copies.
+//!
+//! ```text
+//! dril-folder 1
+//! <64 digits> <bytes> - data/a.csv        a file
+//! <64 digits> <bytes> x bin/tool          a file that may be executed
+//! - 0 d logs                              a folder in which there is nothing
+//! ```
+//!
+//! Lines are sorted by path; bytes of a path that are no plain ASCII are written as `%` and two hexadecimal digits, and so
+//! are `%` and spaces. Owners, times and all other rights are left out: they are not content.
+
+use std::collections::HashSet;
+use std::ffi::OsString;
+use std::os::unix::ffi::{OsStrExt, OsStringExt};
+use std::path::{Path, PathBuf};
+
+use rayon::prelude::*;
+
+use super::{Blob, Digest, Run, Store, StoreError, Stored};
+use crate::fsx::{self, Entry, FsError, Links};
+
+const HEAD: &str = "dril-folder 1";
+
+/// What is in a folder, sorted by path.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Folder {
+    entries: Vec<FolderEntry>,
+}
+
+/// Something in a folder.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FolderEntry {
+    /// Relative to the folder; made of names only.
+    pub path: PathBuf,
+    /// `None` for a folder in which there is nothing.
+    pub file: Option<FolderFile>,
+}
+
+/// A file in a folder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FolderFile {
+    /// The name of its content.
+    pub digest: Digest,
+    /// Its length.
+    pub bytes: u64,
+    /// True where it may be executed.
+    pub executable: bool,
+}
+
+impl Folder {
+    /// Of these entries, in any order.
+    pub fn new(mut entries: Vec<FolderEntry>) -> Self {
+        entries.sort_by(|a, b| a.path.as_os_str().as_bytes().cmp(b.path.as_os_str().as_bytes()));
+        Self { entries }
+    }
+
+    /// What is in it.
+    pub fn entries(&self) -> &[FolderEntry] {
+        &self.entries
+    }
+
+    /// Its files.
+    pub fn files(&self) -> impl Iterator<Item = (&Path, FolderFile)> {
+        self.entries.iter().filter_map(|entry| Some((entry.path.as_path(), entry.file?)))
+    }
+
+    /// The list as it is stored.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let mut text = format!("{HEAD}\n");
+        for FolderEntry { path, file } in &self.entries {
+            let path = escape(path);
+            match file {
+                Some(FolderFile { digest, bytes, executable }) => {
+                    let mark = if *executable { 'x' } else { '-' };
+                    text += &format!("{digest} {bytes} {mark} {path}\n");
+                }
+                None => text += &format!("- 0 d {path}\n"),
+            }
+        }
+        text.into_bytes()
+    }
+
+    /// The folder's name: that of its list.
+    pub fn digest(&self) -> Digest {
+        Digest::of(&self.to_bytes())
+    }
+
+    /// Reads a list back. It is believed only where it is what we would have written, so that no path in it leads out of
+    /// the folder.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    pub fn parse(bytes: &[u8]) -> Result<Self, String> {
+        let text = std::str::from_utf8(bytes).map_err(|error| error.to_string())?;
+        let mut lines = text.lines();
+        match lines.next() {
+            Some(HEAD) => {}
+            head => return Err(format!("it begins with `{}`, expected `{HEAD}`", head.unwrap_or_default())),
+        }
+        let entries: Option<Vec<FolderEntry>> = lines.map(entry).collect();
+        let folder = Self { entries: entries.ok_or("it has a line that lists no file")? };
+        let name = |part: &[u8]| !matches!(part, b"" | b"." | b"..");
+        let names_only =
+            |entry: &FolderEntry| entry.path.as_os_str().as_bytes().split(|byte| *byte == b'/').all(name);
+        let paths: HashSet<&Path> = folder.entries.iter().map(|entry| entry.path.as_path()).collect();
+        let apart = |entry: &FolderEntry| !entry.path.ancestors().skip(1).any(|above| paths.contains(above));
+        if folder.entries.iter().all(names_only)
+            && folder.entries.iter().all(apart)
+            && paths.len() == folder.entries.len()
+            && Self::new(folder.entries.clone()).to_bytes() == bytes
+        {
+            Ok(folder)
+        } else {
+            Err("its paths are not sorted, lead out of it, or meet".to_owned())
+        }
+    }
+}
+
+/// What is in a folder.
+///
+/// # Errors
+/// Something in it cannot be read, or is neither file nor folder.
+pub fn hash_folder(path: &Path) -> fsx::Result<Folder> {
+    let entries = fsx::walk(path, Links::Refuse)?.into_par_iter().map(|inside| {
+        let file = match inside.file {
+            Some(stat) => {
+                let (digest, bytes) = super::hash_file(&path.join(&inside.path))?;
+                Some(FolderFile { digest, bytes, executable: stat.executable })
+            }
+            None => None,
+        };
+        Ok(FolderEntry { path: inside.path, file })
+    });
+    Ok(Folder::new(entries.collect::<fsx::Result<_>>()?))
+}
+
+fn escape(path: &Path) -> String {
+    let mut text = String::new();
+    for &byte in path.as_os_str().as_bytes() {
+        if byte.is_ascii_graphic() && byte != b'%' {
+            text.push(char::from(byte));
+        } else {
+            text += &format!("%{byte:02x}");
+        }
+    }
+    text
+}
+
+fn unescape(text: &str) -> Option<PathBuf> {
+    let mut bytes = Vec::with_capacity(text.len());
+    let mut rest = text.as_bytes();
+    while let Some((&byte, after)) = rest.split_first() {
+        if byte == b'%' {
+            let digits = std::str::from_utf8(after.get(..2)?).ok()?;
+            bytes.push(u8::from_str_radix(digits, 16).ok().filter(|byte| *byte != 0)?);
+            rest = &after[2..];
+        } else {
+            bytes.push(byte);
+            rest = after;
+        }
+    }
+    Some(PathBuf::from(OsString::from_vec(bytes)))
+}
+
+fn entry(line: &str) -> Option<FolderEntry> {
+    let mut words = line.splitn(4, ' ');
+    let (digest, bytes, mark, path) = (words.next()?, words.next()?, words.next()?, words.next()?);
+    let file = match (digest, mark) {
+        ("-", "d") => None,
+        (digest, "-" | "x") => Some(FolderFile {
+            digest: digest.parse().ok()?,
+            bytes: bytes.parse().ok()?,
+            executable: mark == "x",
+        }),
+        _ => return None,
+    };
+    Some(FolderEntry { path: unescape(path)?, file })
+}
+
+impl Store {
+    /// Takes all that is in `path`, a folder in a private folder of this store. What was there may be gone afterwards.
+    ///
+    /// # Errors
+    /// There is something in it that is neither file nor folder, it cannot be read, or the store cannot be written.
+    pub fn take_folder(&self, path: &Path) -> Result<Blob, StoreError> {
+        let found = fsx::walk(path, Links::Refuse)?;
+        let taken = found.into_par_iter().map(|inside| {
+            let Some(stat) = inside.file else { return Ok(FolderEntry { path: inside.path, file: None }) };
+            let blob = self.take(&path.join(&inside.path))?;
+            let file = FolderFile { digest: blob.digest, bytes: blob.bytes, executable: stat.executable };
+            Ok::<_, StoreError>(FolderEntry { path: inside.path, file: Some(file) })
+        });
+        let folder = Folder::new(taken.collect::<Result<_, _>>()?);
+        self.take_list(&folder, &path.with_extension("list"))
+    }
+
+    /// Copies a folder from outside, whose content was `folder` when it was planned with, into the store.
+    ///
+    /// # Errors
+    /// It is not that any more, it cannot be read, or the store cannot be written.
+    pub fn import_folder(&self, path: &Path, folder: &Folder, run: &Run) -> Result<(), StoreError> {
+        let files: Vec<(&Path, FolderFile)> = folder.files().collect();
+        files.par_iter().try_for_each(|(inside, file)| self.import(&path.join(inside), &file.digest, run))?;
+        let draft = run.temporary().join(format!("list-{}", folder.digest()));
+        Ok(self.take_list(folder, &draft)?.sync()?)
+    }
+
+    fn take_list(&self, folder: &Folder, draft: &Path) -> Result<Blob, StoreError> {
+        fsx::write(draft, &folder.to_bytes())?;
+        let parts = folder.files().map(|(_, file)| (file.digest, self.blob_path(&file.digest))).collect();
+        Ok(self.take(draft)?.with_parts(parts))
+    }
+
+    /// The list of a folder; `None` where it is not there, or not what its name says.
+    ///
+    /// # Errors
+    /// It is there and cannot be read.
+    pub fn folder(&self, digest: &Digest) -> Result<Option<Folder>, StoreError> {
+        let bytes = fsx::read_if_there(&self.blob_path(digest))?;
+        let bytes = bytes.filter(|bytes| Digest::of(bytes) == *digest);
+        Ok(bytes.and_then(|bytes| Folder::parse(&bytes).ok()))
+    }
+
+    /// The contents that an output is made of, with their lengths: its own, and where it is a folder, those of its files.
+    /// Whoever removes, checks or carries away contents has to count them all.
+    ///
+    /// # Errors
+    /// The list of a folder is there and cannot be read.
+    pub fn contents(&self, stored: &Stored) -> Result<Vec<(Digest, u64)>, StoreError> {
+        let mut all = vec![(stored.digest, stored.bytes)];
+        if stored.folder
+            && let Some(folder) = self.folder(&stored.digest)?
+        {
+            all.extend(folder.files().map(|(_, file)| (file.digest, file.bytes)));
+        }
+        Ok(all)
+    }
+
+    /// True where the list of a folder is there, and each of its files in full length.
+    pub(super) fn has_folder(&self, digest: &Digest) -> Result<bool, StoreError> {
+        let Some(folder) = self.folder(digest)? else { return Ok(false) };
+        for (_, file) in folder.files() {
+            if fsx::entry(&self.blob_path(&file.digest))? != Some(Entry::File(file.bytes)) {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+
+    /// Makes the folder of that name at `to`, with read-only files.
+    ///
+    /// # Errors
+    /// Something of it is not in the store any more, or `to` cannot be written.
+    pub fn lay_out(&self, digest: &Digest, to: &Path) -> Result<(), StoreError> {
+        let Some(folder) = self.folder(digest)? else {
+            let path = self.blob_path(digest);
+            let error = std::io::Error::other("the list of a folder is missing or damaged: run again");
+            return Err(FsError::at("read", &path)(error).into());
+        };
+        fsx::create_dir_all(to)?;
+        for FolderEntry { path, file } in folder.entries() {
+            match file {
+                Some(file) => fsx::put(&self.blob_path(&file.digest), &to.join(path), file.executable)?,
+                None => fsx::create_dir_all(&to.join(path))?,
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+#[path = "folder_tests.rs"]
+mod tests;
