@@ -121,6 +121,9 @@ pub(super) struct RunArgs {
     /// Seconds between two checkpoints of a long stage
     #[arg(long, value_name = "SECONDS", default_value = "120", value_parser = seconds)]
     pub checkpoint_every: f64,
+    /// Let stages that learn write their curves there, as TensorBoard event files
+    #[arg(long, value_name = "DIR")]
+    pub tensorboard: Option<PathBuf>,
     /// Start no further stage once one has failed
     #[arg(long)]
     pub fail_fast: bool,

@@ -34,7 +34,7 @@ pub(super) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Erro
     let files = plan.files.values().map(|file| (file.path.clone(), file.digest)).collect();
     let lock = Locked::read(args)?;
     lock.check_plan(&plan)?;
-    let options = options(args, began);
+    let options = options(args, began)?;
     let mut reporter = report::choose(args, &graph);
     reporter.planned(&plan, options.threads);
     let runner = ChildRunner::this_program()
@@ -73,9 +73,14 @@ pub(super) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Erro
     Ok(ExitCode::from(code))
 }
 
-fn options(args: &RunArgs, began: Instant) -> Options {
+fn options(args: &RunArgs, began: Instant) -> Result<Options, Error> {
+    // Stages run in folders of their own.
+    let curves = args.tensorboard.as_ref().map(std::path::absolute).transpose().map_err(|error| {
+        Error::new(ErrorKind::Io, format!("`--tensorboard`: the current folder cannot be named: {error}"))
+    })?;
     let mut options = Options {
         checkpoint_seconds: args.checkpoint_every,
+        curves,
         keep_going: !args.fail_fast,
         deadline: args.time.and_then(|time| began.checked_add(time)),
         about: about(args),
@@ -84,7 +89,7 @@ fn options(args: &RunArgs, began: Instant) -> Options {
     if let Some(jobs) = args.jobs {
         options.threads = jobs.get();
     }
-    options
+    Ok(options)
 }
 
 /// Where the plan comes from, for the notes of the run: an archive of it carries the pipeline file along.

@@ -50,6 +50,7 @@ impl Circumstances {
             out,
             jobs: _,
             checkpoint_every: _,
+            tensorboard: _,
             fail_fast: _,
             time: _,
             check_determinism,

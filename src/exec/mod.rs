@@ -38,6 +38,8 @@ pub struct Options {
     pub threads: usize,
     /// Seconds between checkpoints of a stage.
     pub checkpoint_seconds: f64,
+    /// An absolute folder in which stages that learn write their curves, each in a folder of its own; none: nowhere.
+    pub curves: Option<PathBuf>,
     /// True: after a failure, stages that do not depend on the failed one go on. False: none is started any more.
     pub keep_going: bool,
     /// How long a stage that was asked to stop may take before it is killed.
@@ -54,6 +56,7 @@ impl Default for Options {
         Self {
             threads,
             checkpoint_seconds: 120.0,
+            curves: None,
             keep_going: true,
             grace: Duration::from_secs(20),
             deadline: None,

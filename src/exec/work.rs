@@ -218,7 +218,12 @@ impl<'a> Task<'a> {
             limits: self.limits,
         };
         let began = Instant::now();
-        ended(site.runner.run(&launch, hear), &self.limits)?;
+        let with = &mut self.record.fingerprint.with;
+        let mut hear = |message| match message {
+            Message::MadeWith(said) => with.extend(said),
+            other => hear(other),
+        };
+        ended(site.runner.run(&launch, &mut hear), &self.limits)?;
         let took = began.elapsed();
         self.record.seconds = took.as_secs_f64();
         Ok((self.take_outputs(site.store)?, took))
@@ -424,6 +429,11 @@ fn job(
         scratch: folder.join("work"),
         checkpoints: site.store.checkpoints(key).join("files"),
         checkpoint_seconds: site.options.checkpoint_seconds,
+        curves: site
+            .options
+            .curves
+            .as_ref()
+            .map(|folder| folder.join(format!("{}-{}", node.file_stem(), key.short()))),
     };
     (job, folders)
 }

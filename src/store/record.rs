@@ -84,6 +84,9 @@ pub struct Fingerprint {
     pub tool: String,
     /// Operating system and processor architecture, as `linux x86_64`.
     pub platform: String,
+    /// What the stage says it was computed with: libraries and instruction sets that other machines may have otherwise.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub with: BTreeMap<String, String>,
 }
 
 impl Fingerprint {
@@ -92,6 +95,7 @@ impl Fingerprint {
         Self {
             tool: env!("CARGO_PKG_VERSION").to_owned(),
             platform: format!("{} {}", std::env::consts::OS, std::env::consts::ARCH),
+            with: BTreeMap::new(),
         }
     }
 }

@@ -40,7 +40,11 @@ fn sample() -> Record {
         ],
         outputs: [("final".to_owned(), stored("abc")), ("peak".to_owned(), stored("abd"))].into(),
         seconds: 12.5,
-        fingerprint: Fingerprint { tool: "0.1.0".into(), platform: "linux x86_64".into() },
+        fingerprint: Fingerprint {
+            tool: "0.1.0".into(),
+            platform: "linux x86_64".into(),
+            with: BTreeMap::new(),
+        },
     }
 }
 

@@ -119,6 +119,19 @@ impl<'a> Ctx<'a> {
         &self.job.checkpoints
     }
 
+    /// A folder for curves that people watch while the stage runs (`run --tensorboard`), to be made if need be; none
+    /// where nobody does. What is written there is no result and may carry clock times.
+    pub fn curves(&self) -> Option<&'a Path> {
+        self.job.curves.as_deref()
+    }
+
+    /// Says what the result depends on besides inputs, parameters and seed, as in `("libtorch", "2.13.0")`: it is
+    /// recorded with the result and enters no key.
+    pub fn made_with(&mut self, what: &[(&str, &str)]) {
+        let what = what.iter().map(|(name, value)| ((*name).to_owned(), (*value).to_owned()));
+        let _ = writeln!(self.messages, "{}", Message::MadeWith(what.collect()).to_line());
+    }
+
     /// True when the last checkpoint is long enough ago, or the stage is being stopped. Starts the interval anew.
     pub fn checkpoint_due(&mut self) -> bool {
         let due = self.cancelled()

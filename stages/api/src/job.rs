@@ -35,6 +35,9 @@ pub struct Job {
     pub checkpoints: PathBuf,
     /// Seconds between checkpoints.
     pub checkpoint_seconds: f64,
+    /// A folder for curves that people watch while the stage runs; nothing in it is a result. None where nobody does.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub curves: Option<PathBuf>,
 }
 
 /// One artifact at an input.

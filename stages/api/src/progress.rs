@@ -1,5 +1,7 @@
 //! What a running stage says: one JSON object a line on its standard output, which the engine reads.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
 /// How far a stage is.
@@ -22,6 +24,8 @@ pub struct Progress {
 pub enum Message {
     /// How far it is.
     Progress(Progress),
+    /// What its result depends on besides inputs, parameters and seed: libraries, instruction sets; by name.
+    MadeWith(BTreeMap<String, String>),
     /// It failed, and why; the last message.
     Failed {
         /// The error's text.
@@ -52,6 +56,8 @@ mod tests {
             Message::Progress(Progress { step: 3, total: 9, unit: "epochs".into(), note: "a\nb".into() });
         assert!(!message.to_line().contains('\n'));
         assert_eq!(Message::from_line(&message.to_line()), Some(message));
+        let with = Message::MadeWith(BTreeMap::from([("libtorch".to_owned(), "2.13.0".to_owned())]));
+        assert_eq!(Message::from_line(&with.to_line()), Some(with));
         assert_eq!(Message::from_line("[W] a library said something"), None);
         assert_eq!(Message::from_line("{\"else\": 1}"), None);
     }

@@ -45,6 +45,7 @@ impl Bench {
             scratch: folder.path().join("scratch"),
             checkpoints,
             checkpoint_seconds: 120.0,
+            curves: None,
         };
         Ok(Self { folder, kind, job, cancel: AtomicBool::new(false) })
     }
@@ -63,6 +64,18 @@ impl Bench {
     pub fn checkpoint_seconds(mut self, seconds: f64) -> Self {
         self.job.checkpoint_seconds = seconds;
         self
+    }
+
+    /// Names a folder for curves.
+    #[must_use]
+    pub fn curves(mut self, folder: &Path) -> Self {
+        self.job.curves = Some(folder.to_owned());
+        self
+    }
+
+    /// The job, as the engine would write it for the program that runs the stage.
+    pub fn job(&self) -> &Job {
+        &self.job
     }
 
     /// Runs the stage and gives what it said.
