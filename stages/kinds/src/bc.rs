@@ -4,7 +4,7 @@ use dril_stage_api::{Artifact, Describe, Needs, Ports, Problems};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{Network, PolicyFamily, default};
+use crate::{Network, PolicyFamily, Precision, default};
 
 /// Behaviour cloning: fits an agent's mean action to the demonstrated ones, with early stopping.
 #[derive(Clone, Copy, Debug)]
@@ -49,6 +49,10 @@ pub struct BcParams {
     /// How data is held out.
     #[serde(default = "pairs")]
     pub split: Split,
+    /// The numbers to compute with.
+    #[serde(default, skip_serializing_if = "default::is")]
+    #[schemars(extend("default" = "fp32"))]
+    pub precision: Precision,
 }
 
 pub(crate) fn pairs() -> Split {

@@ -12,6 +12,8 @@ pub enum PolicyFamily {
     Gaussian,
     /// Independent Beta distributions with α, β > 1, stretched from [0, 1] to [-1, 1] (Petrazzini & Antonelo 2021).
     Beta,
+    /// One of several choices, each with a probability of its own: for environments that take choices, and only those.
+    Categorical,
 }
 
 /// The layers of an agent.
@@ -22,8 +24,23 @@ pub enum Network {
     ExpertCnn,
     /// For images: convolutions 32-64-64 shared by actor (512-512) and critic (512). The thesis's imitators.
     DrilCnn,
+    /// For images: convolutions 32-64-64 and one layer of 512, all shared by actor and critic. The original DRIL's agents
+    /// for Atari games.
+    AtariCnn,
     /// For vectors: two layers of 64 tanh units each for actor and critic.
     Mlp,
+}
+
+/// How an agent learns from a rollout.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Algorithm {
+    /// Proximal policy optimisation: several passes in minibatches, by Adam.
+    #[default]
+    Ppo,
+    /// Advantage actor-critic (Mnih et al. 2016): one step on the whole rollout, by RMSprop with a decay of 0.99.
+    /// `epochs`, `minibatches` and `clip_range` are not used.
+    A2c,
 }
 
 /// How an agent acts.
@@ -34,4 +51,17 @@ pub enum Mode {
     Deterministic,
     /// A draw from the distribution.
     Stochastic,
+}
+
+/// The numbers that networks compute with while they learn. Adam's sums and the weights that are kept have 32 bits
+/// either way, and every agent acts with 32 bits where it is evaluated.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Precision {
+    /// 32 bits: what the thesis's code computes with.
+    #[default]
+    Fp32,
+    /// 16 bits with the exponent of 32 (bfloat16) in all layers but the last ones: faster on processors that have
+    /// instructions for it, three digits exact.
+    Bf16,
 }

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::bc::{check_fraction, pairs};
 use crate::update::{check_env, check_run};
-use crate::{Split, UpdateSettings, default};
+use crate::{Algorithm, Precision, Split, UpdateSettings, default};
 
 /// Disagreement-regularised imitation learning (Brantley et al. 2020): PPO on the reward that an ensemble's agreement
 /// gives, with a step of behaviour cloning after each step of PPO.
@@ -32,6 +32,18 @@ pub enum PeakWeights {
     Before,
     /// Those after the update, as the code behind the thesis saves them: one update late.
     After,
+}
+
+/// Which threshold the disagreement on a choice is held against.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Thresholds {
+    /// Each choice has its own, as the thesis describes it (figure 17).
+    #[default]
+    PerChoice,
+    /// The last choice's stands for all, as a slip in the reference code has it (functions made in a loop that all see
+    /// its last round).
+    LastChoice,
 }
 
 /// What stands under `with:` of a `dril` stage.
@@ -122,6 +134,18 @@ pub struct DrilParams {
     /// is 0.1.
     #[serde(default = "default::ratio::<1, 10>")]
     pub mean_action_probability: f64,
+    /// How the agent learns from a rollout. The original DRIL has `a2c` for Atari games.
+    #[serde(default, skip_serializing_if = "default::is")]
+    #[schemars(extend("default" = "ppo"))]
+    pub algorithm: Algorithm,
+    /// Which threshold the disagreement on a choice is held against; for environments that take choices.
+    #[serde(default, skip_serializing_if = "default::is")]
+    #[schemars(extend("default" = "per-choice"))]
+    pub thresholds: Thresholds,
+    /// The numbers that the agent computes with. What the ensemble answers is always computed with 32 bits.
+    #[serde(default, skip_serializing_if = "default::is")]
+    #[schemars(extend("default" = "fp32"))]
+    pub precision: Precision,
 }
 
 fn plus_minus_one() -> RewardScheme {
@@ -136,6 +160,7 @@ impl DrilParams {
     /// The settings of an update.
     pub fn update(&self) -> UpdateSettings {
         UpdateSettings {
+            algorithm: self.algorithm,
             epochs: self.epochs,
             minibatches: self.minibatches,
             clip_range: self.clip_range,

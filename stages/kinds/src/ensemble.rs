@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::bc::{check_fraction, pairs};
-use crate::{Split, default};
+use crate::{Precision, Split, default};
 
 /// Trains an ensemble of policies, each on its own bootstrap of the demonstrations (Brantley et al. 2020).
 #[derive(Clone, Copy, Debug)]
@@ -47,6 +47,10 @@ pub struct EnsembleParams {
     /// How many pairs a member's bootstrap holds.
     #[serde(default = "shrunk")]
     pub bootstrap: Bootstrap,
+    /// The numbers to compute with. What the members answer to DRIL is always computed with 32 bits.
+    #[serde(default, skip_serializing_if = "default::is")]
+    #[schemars(extend("default" = "fp32"))]
+    pub precision: Precision,
 }
 
 fn shrunk() -> Bootstrap {

@@ -23,13 +23,28 @@ pub struct EvaluateParams {
     /// Episodes, each on a track of its own.
     #[serde(default = "default::int::<100>")]
     pub episodes: u64,
-    /// Episode i is played on the track of seed `first_track_seed` + i: the same list for every agent. (The reference
-    /// keeps the first 100 episodes that finish on 8 endless environments, which favours short ones.)
+    /// Episode i is played on the track of seed `first_track_seed` + i: the same list for every agent.
     pub first_track_seed: u64,
     /// Probability, drawn at each step, of acting by the mean although a draw was asked for. The reference's
     /// "stochastic" evaluation has 0.1.
     #[serde(default)]
     pub mean_action_probability: f64,
+    /// Which episodes count.
+    #[serde(default, skip_serializing_if = "default::is")]
+    #[schemars(extend("default" = "listed"))]
+    pub counted: Counted,
+}
+
+/// Which episodes an evaluation counts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Counted {
+    /// Those of the list, however long they last: every agent plays the same tracks.
+    #[default]
+    Listed,
+    /// The first that finish, where eight environments go through the tracks side by side without end, as the reference
+    /// does it: crashes and quick laps come in before long episodes, and two agents are seen on different tracks.
+    FirstFinished,
 }
 
 impl Describe for Evaluate {

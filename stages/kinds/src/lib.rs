@@ -15,12 +15,12 @@ mod ppo;
 mod update;
 
 pub use bc::{Bc, BcParams, Split};
-pub use choices::{Mode, Network, PolicyFamily};
+pub use choices::{Algorithm, Mode, Network, PolicyFamily, Precision};
 pub use collect::{Collect, CollectParams};
 pub use dataset::{ActionRange, Dataset, DatasetParams};
-pub use dril::{Dril, DrilParams, PeakWeights, RewardScheme};
+pub use dril::{Dril, DrilParams, PeakWeights, RewardScheme, Thresholds};
 pub use ensemble::{Bootstrap, Ensemble, EnsembleParams};
-pub use evaluate::{Evaluate, EvaluateParams};
+pub use evaluate::{Counted, Evaluate, EvaluateParams};
 pub use ppo::{Ppo, PpoParams};
 pub use update::UpdateSettings;
 
@@ -64,6 +64,32 @@ mod tests {
             assert!(!kind.ports(&full).unwrap().outputs.is_empty());
             assert!(kind.needs(&full).unwrap().cost > 0.0, "{name}");
         }
+    }
+
+    #[test]
+    fn parameters_that_came_later_stay_out_of_keys_where_they_change_nothing() {
+        let env = json!({ "car-racing": {} });
+        let later =
+            ["normalize_observations", "normalize_reward", "precision", "counted", "algorithm", "thresholds"];
+        let normal = |kind: &str, params: &serde_json::Value| {
+            let kind = KINDS.iter().find(|other| other.name() == kind).unwrap();
+            kind.normalize(params).unwrap()
+        };
+        for (kind, params) in [
+            ("ppo", json!({ "env": env, "policy": "beta" })),
+            ("evaluate", json!({ "env": env, "mode": "stochastic", "first_track_seed": 1 })),
+            ("bc", json!({ "policy": "beta" })),
+            ("ensemble", json!({})),
+            ("dril", json!({ "env": env })),
+        ] {
+            let full = normal(kind, &params);
+            assert!(later.iter().all(|field| full.get(field).is_none()), "{kind}: {full}");
+        }
+        let said = json!({ "env": env, "policy": "beta", "precision": "fp32", "normalize_reward": false });
+        assert_eq!(normal("ppo", &said), normal("ppo", &json!({ "env": env, "policy": "beta" })));
+        let other = json!({ "env": env, "policy": "beta", "precision": "bf16", "normalize_reward": true });
+        assert_eq!(normal("ppo", &other)["precision"], "bf16");
+        assert_eq!(normal("ppo", &other)["normalize_reward"], true);
     }
 
     #[test]

@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::update::{check_env, check_run};
-use crate::{Network, PolicyFamily, UpdateSettings, default};
+use crate::{Algorithm, Network, PolicyFamily, Precision, UpdateSettings, default};
 
 /// Proximal policy optimisation (Schulman et al. 2017) on the environment's own reward.
 #[derive(Clone, Copy, Debug)]
@@ -73,12 +73,28 @@ pub struct PpoParams {
     /// The experts' code has none; the imitators' has 0.1.
     #[serde(default)]
     pub mean_action_probability: f64,
+    /// Shows the agent each number of a vector by its distance from the running mean in running standard deviations,
+    /// clipped to ±10, as the annex's LunarLander experts have it; the statistics are kept with the policy. Pictures
+    /// are shown as they are.
+    #[serde(default, skip_serializing_if = "default::is")]
+    #[schemars(extend("default" = false))]
+    pub normalize_observations: bool,
+    /// Divides rewards by the running deviation of their discounted sum and clips them to ±10, as the annex's
+    /// LunarLander experts have it. Scores stay those of the environment.
+    #[serde(default, skip_serializing_if = "default::is")]
+    #[schemars(extend("default" = false))]
+    pub normalize_reward: bool,
+    /// The numbers to compute with.
+    #[serde(default, skip_serializing_if = "default::is")]
+    #[schemars(extend("default" = "fp32"))]
+    pub precision: Precision,
 }
 
 impl PpoParams {
     /// The settings of an update.
     pub fn update(&self) -> UpdateSettings {
         UpdateSettings {
+            algorithm: Algorithm::Ppo,
             epochs: self.epochs,
             minibatches: self.minibatches,
             clip_range: self.clip_range,

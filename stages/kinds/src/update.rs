@@ -2,9 +2,13 @@
 
 use dril_stage_api::Problems;
 
+use crate::Algorithm;
+
 /// One PPO update (Schulman et al. 2017): what happens to a rollout.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UpdateSettings {
+    /// What an update is.
+    pub algorithm: Algorithm,
     /// Passes over the rollout.
     pub epochs: u64,
     /// Minibatches a pass; the rollout is cut into this many, a remainder is dropped.

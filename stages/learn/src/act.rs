@@ -35,7 +35,7 @@ pub fn act(
     tch::no_grad(|| {
         let forward = policy.forward(observations);
         let rows = forward.distribution.rows();
-        let (batch, dims) = (observations.size()[0] as usize, policy.architecture().actions);
+        let (batch, dims) = (observations.size()[0] as usize, policy.architecture().action_len());
         let mean = draws_mean(mean_action_probability, stream);
         let mut samples = vec![0.0; batch * dims];
         for (row, sample) in samples.chunks_exact_mut(dims).enumerate() {
@@ -158,7 +158,7 @@ impl<'a> Player<'a> {
         }
         let actions = self.actions();
         let mut ended = Vec::new();
-        for (row, action) in actions.chunks_exact(self.policy.architecture().actions).enumerate() {
+        for (row, action) in actions.chunks_exact(self.policy.architecture().action_len()).enumerate() {
             ended.extend(self.act(row, action)?);
         }
         Ok(Some(ended))
@@ -185,7 +185,8 @@ impl<'a> Player<'a> {
             actions: Vec::new(),
         };
         row.episode = Some((played, self.seed.child(&format!("episode/{episode}")).stream("action")));
-        self.frames.set(index * self.depth + self.depth - 1, row.env.frame(), true);
+        let newest = index * self.depth + self.depth - 1;
+        self.frames.set_scaled(newest, row.env.frame(), true, self.policy.statistics.as_ref());
         Ok(())
     }
 
@@ -195,8 +196,8 @@ impl<'a> Player<'a> {
         let slots: Vec<usize> = (0..WIDTH).map(|row| row * self.depth + self.depth - 1).collect();
         let observations = self.frames.gather(&slots);
         let rows = tch::no_grad(|| self.policy.distribution(&observations).rows());
-        let mut samples = vec![0.0; WIDTH * architecture.actions];
-        for (index, sample) in samples.chunks_exact_mut(architecture.actions).enumerate() {
+        let mut samples = vec![0.0; WIDTH * architecture.action_len()];
+        for (index, sample) in samples.chunks_exact_mut(architecture.action_len()).enumerate() {
             let Some((_, stream)) = &mut self.rows[index].episode else { continue };
             let mean = self.play.mode == Mode::Deterministic
                 || draws_mean(self.play.mean_action_probability, stream);
@@ -222,7 +223,7 @@ impl<'a> Player<'a> {
         played.outcome = step.outcome;
         let newest = index * self.depth + self.depth - 1;
         self.frames.shift(newest, self.depth);
-        self.frames.set(newest, row.env.frame(), false);
+        self.frames.set_scaled(newest, row.env.frame(), false, self.policy.statistics.as_ref());
         Ok(if step.outcome.ended() { row.episode.take().map(|(played, _)| played) } else { None })
     }
 }

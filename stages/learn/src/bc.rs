@@ -8,7 +8,8 @@ use dril_stage_api::{Ctx, Stage, StageError};
 use tch::Tensor;
 
 use crate::fast;
-use crate::imitation::{self, Imitator, Schedule, action_loss};
+use crate::imitation::{self, Imitator, Schedule};
+use crate::made_with;
 use crate::net::{Observation, ParamId, Parameters};
 use crate::pairs::Pairs;
 use crate::policy::{Architecture, Policy};
@@ -23,8 +24,11 @@ impl Stage for BcStage {
 
     fn run(params: &BcParams, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
         fast::prepare();
+        made_with::tell(ctx);
         let pairs = Pairs::load("demonstrations", ctx.input("demonstrations")?)?;
+        pairs.kind().check(params.policy)?;
         let mut policy = Policy::new(architecture(params, &pairs), &mut ctx.stream("init"))?;
+        policy.params.set_precision(params.precision);
         let parts =
             divide(pairs.lengths(), params.validation_fraction, params.split, &mut ctx.stream("split"));
         let schedule = Schedule {
@@ -48,7 +52,7 @@ fn architecture(params: &BcParams, pairs: &Pairs) -> Architecture {
         Observation::Vector { .. } => Network::Mlp,
     };
     let network = params.network.unwrap_or(fitting);
-    Architecture { network, family: params.policy, observation, actions: pairs.dims() }
+    Architecture { network, family: params.policy, observation, actions: pairs.kind().count() }
 }
 
 /// An agent learns by its mean action.
@@ -66,7 +70,7 @@ impl Imitator for Policy {
     }
 
     fn loss(&self, observations: &Tensor, actions: &Tensor) -> Tensor {
-        action_loss(&self.distribution(observations).mean_action(), actions)
+        self.distribution(observations).cloning_loss(actions)
     }
 
     fn validation_loss(&self, observations: &Tensor, actions: &Tensor) -> Tensor {

@@ -6,6 +6,7 @@ use dril_stage_api::{Ctx, Stage, StageError};
 
 use crate::act::{Play, Played, Player};
 use crate::fast;
+use crate::made_with;
 use crate::policy::Policy;
 
 /// Runs the kind `collect`.
@@ -16,6 +17,7 @@ impl Stage for CollectStage {
 
     fn run(params: &CollectParams, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
         fast::prepare();
+        made_with::tell(ctx);
         let policy = Policy::load("policy", ctx.input("policy")?)?;
         let play = Play {
             mode: params.mode,
@@ -101,9 +103,9 @@ fn header(params: &CollectParams, policy: &Policy) -> DemosHeader {
     DemosHeader {
         env: params.env.clone(),
         observation_space: params.env.spaces().0,
-        action_dims: architecture.actions,
+        action_dims: architecture.action_len(),
         action_range: match architecture.family {
-            PolicyFamily::Gaussian => ActionRange::Raw,
+            PolicyFamily::Gaussian | PolicyFamily::Categorical => ActionRange::Raw,
             PolicyFamily::Beta => ActionRange::Bounded,
         },
         mode: match params.mode {

@@ -4,6 +4,8 @@ use dril_envs::{ActionRange as Recorded, Demonstrations};
 use dril_kinds::{ActionRange, DatasetParams};
 use dril_stage_api::{Ctx, Stage, StageError};
 
+use crate::spaces::Actions;
+
 /// Runs `dataset` stages.
 #[derive(Clone, Copy, Debug)]
 pub struct DatasetStage;
@@ -19,6 +21,11 @@ impl Stage for DatasetStage {
         let wrong = |message: String| StageError::input(PORT, path, message);
         let demos = Demonstrations::read(path).map_err(|error| wrong(error.to_string()))?;
         let demos = first(demos, params.trajectories as usize).map_err(wrong)?;
+        if let Actions::Choices(_) = Actions::of(&demos.header.env.spaces().1)
+            && params.actions != ActionRange::Raw
+        {
+            return Err(wrong("holds choices, which have no range; set `actions` to `raw`".to_owned()));
+        }
         let demos = with_range(demos, params.actions).map_err(wrong)?;
         demos.write(ctx.output(PORT)?).map_err(StageError::failed)
     }

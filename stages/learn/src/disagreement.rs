@@ -89,24 +89,21 @@ pub fn reward(scheme: RewardScheme, cost: f64, limit: f64) -> f32 {
     }
 }
 
-/// The `q`-quantile of each discrete action's cost over all samples, whichever action was taken there; `None` for no
-/// samples. Each action has its own threshold (thesis Figure 17); the reference code compares every action with the last
-/// one's.
-pub fn discrete_thresholds(outputs: &MemberOutputs, q: f64) -> Option<Vec<f64>> {
-    let of = |action| {
-        let costs: Vec<f64> =
-            (0..outputs.samples()).map(|sample| outputs.discrete_cost(sample, action)).collect();
-        quantile(&costs, q)
-    };
-    (0..outputs.dims()).map(of).collect()
-}
-
 /// The cost of each sample's action, `actions` being `[sample][dimension]`.
 pub fn continuous_costs(outputs: &MemberOutputs, actions: &[f32]) -> Vec<f64> {
     actions
         .chunks_exact(outputs.dims())
         .enumerate()
         .map(|(sample, action)| outputs.continuous_cost(sample, action))
+        .collect()
+}
+
+/// The cost of each sample's choice, `choices` being one number a sample.
+pub fn discrete_costs(outputs: &MemberOutputs, choices: &[f32]) -> Vec<f64> {
+    choices
+        .iter()
+        .enumerate()
+        .map(|(sample, choice)| outputs.discrete_cost(sample, *choice as usize))
         .collect()
 }
 
@@ -200,11 +197,8 @@ mod tests {
     }
 
     #[test]
-    fn every_discrete_action_has_a_threshold_of_its_own() {
-        let limits = discrete_thresholds(&table_6(), 0.98).unwrap();
-        assert_eq!(limits.len(), 4);
-        near(limits[0], 53.0532, 2e-3);
-        near(limits[3], 60.5056, 2e-3);
+    fn a_choice_costs_the_variance_of_its_own_logit() {
+        assert_eq!(discrete_costs(&table_6(), &[2.0]), [table_6().discrete_cost(0, 2)]);
     }
 
     #[test]

@@ -4,12 +4,13 @@
 //! episode's score does not depend on the others.
 
 use dril_envs::Outcome;
-use dril_kinds::{Evaluate, EvaluateParams};
+use dril_kinds::{Counted, Evaluate, EvaluateParams};
 use dril_stage_api::scores::{self, ScoreRow};
 use dril_stage_api::{Ctx, Stage, StageError};
 
 use crate::act::{Play, Played, Player};
 use crate::fast;
+use crate::made_with;
 use crate::policy::Policy;
 
 /// Runs the kind `evaluate`.
@@ -20,24 +21,41 @@ impl Stage for EvaluateStage {
 
     fn run(params: &EvaluateParams, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
         fast::prepare();
+        made_with::tell(ctx);
         let policy = Policy::load("policy", ctx.input("policy")?)?;
         let play = Play {
             mode: params.mode,
             mean_action_probability: params.mean_action_probability,
             first_track_seed: params.first_track_seed,
-            episodes: params.episodes as usize,
+            episodes: match params.counted {
+                Counted::Listed => params.episodes as usize,
+                Counted::FirstFinished => usize::MAX,
+            },
             record: false,
         };
         let mut player = Player::new(&policy, &params.env, play, ctx.seed())?;
-        let mut rows = Vec::new();
-        while let Some(ended) = player.step()? {
+        let mut rows: Vec<ScoreRow> = Vec::new();
+        while rows.len() < params.episodes as usize
+            && let Some(ended) = player.step()?
+        {
             rows.extend(ended.iter().map(row));
             ctx.progress(rows.len() as u64, params.episodes, "episodes", || mean(&rows));
             ctx.stop_if_cancelled()?;
         }
-        rows.sort_by_key(|row: &ScoreRow| row.episode);
-        scores::write(ctx.output("scores")?, &rows)
+        scores::write(ctx.output("scores")?, &counted(rows, params))
     }
+}
+
+/// The rows that count, numbered: in the order of the list, or in that in which they finished.
+fn counted(mut rows: Vec<ScoreRow>, params: &EvaluateParams) -> Vec<ScoreRow> {
+    match params.counted {
+        Counted::Listed => rows.sort_by_key(|row| row.episode),
+        Counted::FirstFinished => {
+            rows.truncate(params.episodes as usize);
+            rows.iter_mut().enumerate().for_each(|(at, row)| row.episode = at);
+        }
+    }
+    rows
 }
 
 fn row(played: &Played) -> ScoreRow {
@@ -76,10 +94,15 @@ mod tests {
     use serde_json::json;
 
     fn scores(episodes: u64, mode: &str) -> Vec<ScoreRow> {
+        play_scores(json!({ "episodes": episodes, "mode": mode }))
+    }
+
+    fn play_scores(with: serde_json::Value) -> Vec<ScoreRow> {
         fast::prepare();
-        let params = json!({
-            "env": { "car-racing": { "time_limit": 6 } }, "mode": mode, "episodes": episodes, "first_track_seed": 30
+        let mut params = json!({
+            "env": { "car-racing": { "time_limit": 6 } }, "mode": "stochastic", "first_track_seed": 30
         });
+        params.as_object_mut().unwrap().extend(with.as_object().unwrap().clone());
         let bench = Bench::new::<EvaluateStage>(&params, 1).unwrap();
         let path = bench.folder().join("policy");
         let architecture =
@@ -88,6 +111,33 @@ mod tests {
         let bench = bench.input("policy", &path, &[]);
         bench.run().unwrap();
         scores::read("scores", &bench.output("scores").unwrap()).unwrap()
+    }
+
+    #[test]
+    fn the_first_that_finish_count_where_that_is_asked_for() {
+        let row = |episode: usize| ScoreRow {
+            episode,
+            track_seed: 30 + episode as u64,
+            score: 1.0,
+            steps: 6,
+            outcome: "finished".into(),
+        };
+        let mut params: EvaluateParams = serde_json::from_value(json!({
+            "env": { "car-racing": {} }, "mode": "stochastic", "episodes": 3, "first_track_seed": 30
+        }))
+        .unwrap();
+        let finished = vec![row(5), row(0), row(13), row(1)];
+        let seeds = |params: &EvaluateParams| -> Vec<(usize, u64)> {
+            counted(finished.clone(), params).iter().map(|row| (row.episode, row.track_seed)).collect()
+        };
+        assert_eq!(seeds(&params), [(0, 30), (1, 31), (5, 35), (13, 43)]);
+        params.counted = Counted::FirstFinished;
+        assert_eq!(seeds(&params), [(0, 35), (1, 30), (2, 43)]);
+        // With episodes of equal length the first row's second episode comes after everybody's first.
+        let rows = play_scores(json!({ "episodes": 10, "counted": "first-finished" }));
+        let seeds: Vec<u64> = rows.iter().map(|row| row.track_seed).collect();
+        assert_eq!(seeds, (30..40).collect::<Vec<_>>());
+        assert!(rows.iter().enumerate().all(|(at, row)| row.episode == at));
     }
 
     #[test]

@@ -5,12 +5,14 @@
 //! episode: planes before the first frame are black, as in the reference.
 
 use dril_envs::Frame;
+use dril_kinds::Precision;
 use dril_stage_api::StageError;
 use tch::{Device, Kind, Tensor};
 
 use crate::checkpoint::{Arrays, foreign};
 use crate::fast::{layout, memory};
 use crate::net::Observation;
+use crate::normalize::ObservationStatistics;
 
 /// Frames (or observation vectors) in numbered slots.
 #[derive(Clone, Debug, PartialEq)]
@@ -78,6 +80,22 @@ impl FrameStore {
         }
     }
 
+    /// As [`FrameStore::set`], with vectors scaled by the statistics, where there are any.
+    pub fn set_scaled(
+        &mut self,
+        slot: usize,
+        frame: Frame<'_>,
+        first: bool,
+        statistics: Option<&ObservationStatistics>,
+    ) {
+        match (statistics, frame) {
+            (Some(statistics), Frame::Vector(vector)) => {
+                self.set(slot, Frame::Vector(&statistics.scale(vector)), first);
+            }
+            _ => self.set(slot, frame, first),
+        }
+    }
+
     /// Makes room at `newest` in a window of `count` slots that ends there: every slot moves one back, the oldest falls
     /// out.
     pub fn shift(&mut self, newest: usize, count: usize) {
@@ -99,15 +117,29 @@ impl FrameStore {
     /// The observations whose newest frames lie in `slots`, as a network takes them: [slots, stack·16, height/4,
     /// width/4] in 0..=255 for frames in blocks, [slots, len] for vectors.
     pub fn gather(&self, slots: &[usize]) -> Tensor {
+        self.gather_for(slots, Precision::Fp32)
+    }
+
+    /// The same in the numbers that a network computes with; 16 bits hold bytes exactly. Vectors keep 32 bits.
+    pub fn gather_for(&self, slots: &[usize], precision: Precision) -> Tensor {
         match self.observation {
             Observation::Images { height, width, stack } => {
                 let block = layout::BLOCK;
                 let channels = stack * block * block;
-                let shape = [slots.len(), channels, height / block, width / block];
-                let mut batch = Tensor::empty(shape.map(|n| n as i64), (Kind::Float, Device::Cpu));
-                let stacks = memory::values_mut(&mut batch).chunks_exact_mut(stack * height * width);
-                stacks.zip(slots).for_each(|(planes, &slot)| self.gather_stack(slot, planes));
-                batch
+                let shape = [slots.len(), channels, height / block, width / block].map(|n| n as i64);
+                let len = stack * height * width;
+                match precision {
+                    Precision::Fp32 => {
+                        let mut batch = Tensor::empty(shape, (Kind::Float, Device::Cpu));
+                        self.gather_stacks(slots, len, memory::values_mut(&mut batch), layout::widen);
+                        batch
+                    }
+                    Precision::Bf16 => {
+                        let mut batch = Tensor::empty(shape, (Kind::BFloat16, Device::Cpu));
+                        self.gather_stacks(slots, len, memory::halves_mut(&mut batch), layout::widen_short);
+                        batch
+                    }
+                }
             }
             Observation::Vector { len } => {
                 let mut batch = Tensor::empty([slots.len() as i64, len as i64], (Kind::Float, Device::Cpu));
@@ -140,15 +172,23 @@ impl FrameStore {
         Ok(())
     }
 
-    /// Oldest plane first.
-    fn gather_stack(&self, slot: usize, planes: &mut [f32]) {
+    /// Stacks of `len` numbers one after the other, the oldest plane of each first.
+    fn gather_stacks<N: Copy + Default>(
+        &self,
+        slots: &[usize],
+        len: usize,
+        numbers: &mut [N],
+        widen: impl Fn(&[u8], &mut [N]),
+    ) {
         let (size, stack) = (self.frame_bytes(), self.observation.stack());
-        for (position, plane) in planes.chunks_exact_mut(size).enumerate() {
-            let back = stack - 1 - position;
-            if back > usize::from(self.ages[slot]) {
-                plane.fill(0.0);
-            } else {
-                layout::widen(&self.bytes[(slot - back) * size..][..size], plane);
+        for (planes, &slot) in numbers.chunks_exact_mut(len).zip(slots) {
+            for (position, plane) in planes.chunks_exact_mut(size).enumerate() {
+                let back = stack - 1 - position;
+                if back > usize::from(self.ages[slot]) {
+                    plane.fill(N::default());
+                } else {
+                    widen(&self.bytes[(slot - back) * size..][..size], plane);
+                }
             }
         }
     }
@@ -224,6 +264,17 @@ mod tests {
         store.shift(2, 3);
         store.set(2, Frame::Image(&frame(6)), true);
         assert_eq!(planes(&store, 2), [vec![0; 32], vec![0; 32], frame(6)]);
+    }
+
+    #[test]
+    fn short_numbers_hold_the_same_bytes() {
+        let mut store = FrameStore::new(IMAGES);
+        (0..3).for_each(|number| {
+            store.push(Frame::Image(&frame(3 * number + 1)), number == 0);
+        });
+        let (long, short) = (store.gather(&[2, 0]), store.gather_for(&[2, 0], Precision::Bf16));
+        assert_eq!(short.kind(), Kind::BFloat16);
+        assert_eq!(short.to_kind(Kind::Float), long);
     }
 
     #[test]

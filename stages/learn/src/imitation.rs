@@ -13,6 +13,7 @@ use crate::net::{ParamId, Parameters};
 use crate::optim::{Adam, AdamSettings};
 use crate::pairs::Pairs;
 use crate::split::{Parts, batching, shuffled};
+use crate::tensorboard::Curves;
 
 /// The mean squared error between actions, both clamped to [-1, 1] as the environment does it; a scalar.
 ///
@@ -84,6 +85,7 @@ pub fn train(
     }
     let mut training = Training::new(model, schedule, batches);
     training.resume(ctx)?;
+    let mut curves = Curves::open(ctx)?;
     let speed = Speed::from(training.at.steps);
     while !training.ended() {
         let order = training.order(&parts.train, ctx.seed());
@@ -95,6 +97,7 @@ pub fn train(
             }
         }
         training.end_epoch(pairs, &parts.validation);
+        curves.last_row(training.at.steps, &training.at.log)?;
         training.pause(ctx)?;
     }
     Ok(training.finish())
@@ -159,7 +162,8 @@ impl<'m, M: Imitator> Training<'m, M> {
     /// Learns from the next batch.
     fn batch(&mut self, pairs: &Pairs, order: &[usize]) -> Result<(), StageError> {
         let batch = &order[self.at.batch * self.batches.1..][..self.batches.1];
-        let loss = self.model.loss(&pairs.observations(batch), &pairs.actions(batch));
+        let seen = pairs.observations_for(batch, self.model.params().precision());
+        let loss = self.model.loss(&seen, &pairs.actions(batch));
         let value = loss.double_value(&[]);
         if !value.is_finite() {
             return Err(StageError::failed(format!(

@@ -2,13 +2,14 @@
 //! between them. It can be saved after every single step and minibatch.
 
 use dril_envs::{FinishedEpisode, VecEnv};
-use dril_kinds::UpdateSettings;
+use dril_kinds::{Algorithm, Precision, UpdateSettings};
 use dril_stage_api::{Seed, StageError, StreamRng};
 use serde::{Deserialize, Serialize};
 
 use crate::checkpoint::{Arrays, foreign};
 use crate::fast::memory;
 use crate::log::RecentScores;
+use crate::normalize::RewardNormalizer;
 use crate::optim::{Adam, AdamSettings};
 use crate::policy::Policy;
 use crate::rollout::{Rollout, Sampler, SamplerSettings, SamplerState};
@@ -33,6 +34,10 @@ pub struct LearnerSettings {
     pub update: UpdateSettings,
     /// How rollouts are gathered.
     pub sampler: SamplerSettings,
+    /// True where the environments' rewards are scaled by [`RewardNormalizer::clipped`].
+    pub normalize_reward: bool,
+    /// The numbers that the network computes with.
+    pub precision: Precision,
 }
 
 impl LearnerSettings {
@@ -59,6 +64,8 @@ pub struct Learner {
     /// Steps of the rollout under way.
     t: usize,
     update: Option<Update>,
+    /// None where rewards stay as they are, or are made elsewhere.
+    rewards: Option<RewardNormalizer>,
 }
 
 /// The part of a [`Learner`]'s checkpoint that is not in arrays.
@@ -70,19 +77,29 @@ pub struct LearnerState {
     updates_done: u64,
     t: usize,
     update: Option<Update>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    rewards: Option<RewardNormalizer>,
 }
 
 impl Learner {
     /// A training before its first step; streams come from the seed.
-    pub fn new(settings: LearnerSettings, policy: Policy, envs: VecEnv, seed: Seed) -> Self {
+    pub fn new(settings: LearnerSettings, mut policy: Policy, envs: VecEnv, seed: Seed) -> Self {
+        policy.params.set_precision(settings.precision);
         let architecture = policy.architecture();
         let (count, steps) = (settings.envs, settings.rollout_steps);
-        let adam = AdamSettings { epsilon: settings.adam_epsilon, ..AdamSettings::default() };
+        let epsilon = settings.adam_epsilon;
+        let adam = match settings.update.algorithm {
+            Algorithm::Ppo => AdamSettings { epsilon, ..AdamSettings::default() },
+            Algorithm::A2c => AdamSettings::rmsprop(0.99, epsilon),
+        };
         Self {
             adam: Adam::new(&policy.params, policy.params.ids().collect(), adam),
-            rollout: Rollout::new(architecture.observation, architecture.actions, count, steps),
+            rollout: Rollout::new(architecture.observation, architecture.action_len(), count, steps),
             sampler: Sampler::new(envs, seed, settings.sampler),
             minibatches: seed.stream("minibatch"),
+            rewards: settings
+                .normalize_reward
+                .then(|| RewardNormalizer::clipped(count, settings.update.gamma)),
             policy,
             settings,
             updates_done: 0,
@@ -147,6 +164,9 @@ impl Learner {
 
     /// Computes advantages from the rollout's rewards and starts the update.
     pub fn begin_update(&mut self) {
+        if let Some(normalizer) = &mut self.rewards {
+            normalizer.normalize(&mut self.rollout.rewards, &self.rollout.ends);
+        }
         let last = self.rollout.observations(self.rollout.steps);
         let last = tch::no_grad(|| self.policy.values(&last).contiguous());
         let UpdateSettings { gamma, gae_lambda, .. } = self.settings.update;
@@ -189,6 +209,7 @@ impl Learner {
             updates_done: self.updates_done,
             t: self.t,
             update: self.update.clone(),
+            rewards: self.rewards.clone(),
         }
     }
 
@@ -206,8 +227,14 @@ impl Learner {
             return Err(foreign("its rollout is longer"));
         }
         (self.minibatches, self.updates_done, self.t) = (state.minibatches, state.updates_done, state.t);
-        self.update = state.update;
+        (self.update, self.rewards) = (state.update, state.rewards);
         Ok(())
+    }
+
+    /// The agent at the end of training, with the statistics that it saw the world through.
+    pub fn into_policy(mut self) -> Policy {
+        self.policy.statistics = self.sampler.statistics().cloned();
+        self.policy
     }
 }
 

@@ -11,7 +11,9 @@
 //! - [`imitation`]: what cloning and the ensemble share; [`pairs`]: demonstrations as they learn from them;
 //!   [`split`]: which pairs train, validate, and in which order.
 //! - [`collect`], [`dataset`], [`evaluate`]: what stands between them.
-//! - [`checkpoint`], [`log`]: what a long training keeps and writes; [`spaces`]: from environments to networks.
+//! - [`normalize`]: running statistics that observations and rewards are scaled by.
+//! - [`checkpoint`], [`log`]: what a long training keeps and writes; [`spaces`]: from environments to networks;
+//!   [`tensorboard`]: the same for people who watch; [`made_with`]: what else a result depends on.
 //!
 //! This is the only crate that links libtorch. Randomness comes from the stage's streams alone, and torch computes on
 //! one thread ([`fast::prepare`]), so equal inputs, parameters and seeds give equal bytes.
@@ -30,7 +32,9 @@ pub mod frames;
 pub mod imitation;
 pub mod learner;
 pub mod log;
+pub mod made_with;
 pub mod net;
+pub mod normalize;
 pub mod optim;
 pub mod pairs;
 pub mod policy;
@@ -38,6 +42,7 @@ pub mod ppo;
 pub mod rollout;
 pub mod spaces;
 pub mod split;
+pub mod tensorboard;
 #[cfg(test)]
 mod test_env;
 pub mod update;

@@ -16,11 +16,20 @@ pub struct AdamSettings {
     pub beta2: f64,
     /// Added to the denominator.
     pub epsilon: f64,
+    /// True where moments are scaled up while they are young.
+    pub correct_bias: bool,
 }
 
 impl Default for AdamSettings {
     fn default() -> Self {
-        Self { beta1: 0.9, beta2: 0.999, epsilon: 1e-8 }
+        Self { beta1: 0.9, beta2: 0.999, epsilon: 1e-8, correct_bias: true }
+    }
+}
+
+impl AdamSettings {
+    /// RMSprop (Tieleman & Hinton 2012) as PyTorch has it: Adam without a first moment and without corrections.
+    pub fn rmsprop(decay: f64, epsilon: f64) -> Self {
+        Self { beta1: 0.0, beta2: decay, epsilon, correct_bias: false }
     }
 }
 
@@ -61,14 +70,15 @@ impl Adam {
         // The small number is PyTorch's, in `clip_grad_norm_`.
         let scale = max_norm.map_or(1.0, |max| (max / (norm + 1e-6)).min(1.0));
         self.steps += 1;
-        let AdamSettings { beta1, beta2, epsilon } = self.settings;
+        let AdamSettings { beta1, beta2, epsilon, correct_bias } = self.settings;
         let power = self.steps as i32;
+        let correction = |beta: f64| if correct_bias { 1.0 - beta.powi(power) } else { 1.0 };
         let with = adam::Step {
             scale: scale as f32,
             beta1: beta1 as f32,
             beta2: beta2 as f32,
-            rate: (learning_rate / (1.0 - beta1.powi(power))) as f32,
-            root: (1.0 / (1.0 - beta2.powi(power)).sqrt()) as f32,
+            rate: (learning_rate / correction(beta1)) as f32,
+            root: (1.0 / correction(beta2).sqrt()) as f32,
             epsilon: epsilon as f32,
         };
         let mut at = 0;
@@ -126,6 +136,7 @@ mod tests {
             name: name.into(),
             shape: shape.to_vec(),
             init: Init::FanIn(1),
+            may_round: false,
         };
         Parameters::new(vec![spec("a", &[count]), spec("b", &[3, 5])], Some(&mut Seed(1).stream("init")))
     }
@@ -156,6 +167,29 @@ mod tests {
         for (id, copy) in ids.iter().zip(&copies) {
             let apart = (params.tensor(*id) - copy).abs().max().double_value(&[]);
             assert!(apart < 1e-5, "{apart}");
+        }
+    }
+
+    #[test]
+    fn steps_of_rmsprop_are_those_of_torchs_optimizer() {
+        let mut params = params(40);
+        let ids: Vec<ParamId> = params.ids().collect();
+        let store = nn::VarStore::new(Device::Cpu);
+        let copies: Vec<Tensor> = ids
+            .iter()
+            .map(|id| store.root().var_copy(&params.spec(*id).name, &params.tensor(*id).detach()))
+            .collect();
+        let theirs = nn::RmsProp { alpha: 0.99, eps: 1e-5, wd: 0.0, momentum: 0.0, centered: false };
+        let mut theirs = theirs.build(&store, 1e-5).unwrap();
+        let mut ours = Adam::new(&params, ids.clone(), AdamSettings::rmsprop(0.99, 1e-5));
+        for _ in 0..30 {
+            let gradients = params.gradients(&loss(params.tensor(ids[0]), params.tensor(ids[1])), &ids);
+            ours.step(&mut params, &gradients, 1e-5, None);
+            theirs.backward_step(&loss(&copies[0], &copies[1]));
+        }
+        for (id, copy) in ids.iter().zip(&copies) {
+            let apart = (params.tensor(*id) - copy).abs().max().double_value(&[]);
+            assert!(apart < 1e-6, "{apart}");
         }
     }
 

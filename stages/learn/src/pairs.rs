@@ -3,12 +3,13 @@
 use std::path::Path;
 
 use dril_envs::{Demonstrations, Episode, Frame, ObservationSpace};
+use dril_kinds::Precision;
 use dril_stage_api::StageError;
 use tch::Tensor;
 
 use crate::frames::FrameStore;
 use crate::net::Observation;
-use crate::spaces;
+use crate::spaces::{self, Actions};
 
 /// The pairs of all episodes in order, numbered from 0.
 #[derive(Clone, Debug, PartialEq)]
@@ -18,6 +19,8 @@ pub struct Pairs {
     /// Pair i's action stands at `i·dims`, as it was recorded.
     actions: Vec<f32>,
     dims: usize,
+    /// What actions are.
+    kind: Actions,
     lengths: Vec<usize>,
 }
 
@@ -36,6 +39,17 @@ impl Pairs {
         if let Some(index) = index {
             return Err(wrong(format!("episode {index} has an action that is not a number")));
         }
+        if let Actions::Choices(count) = Actions::of(&demos.header.env.spaces().1) {
+            let known = |action: &f32| action.fract() == 0.0 && (0.0..count as f32).contains(action);
+            let odd =
+                demos.episodes.iter().flat_map(|episode| &episode.actions).find(|action| !known(action));
+            if let Some(action) = odd {
+                return Err(wrong(format!(
+                    "has the action {action}, expected a choice from 0 to {}",
+                    count - 1
+                )));
+            }
+        }
         Ok(Self::of(demos))
     }
 
@@ -43,6 +57,10 @@ impl Pairs {
     fn of(demos: Demonstrations) -> Self {
         let (steps, space) = (demos.steps(), demos.header.observation_space);
         let dims = demos.header.action_dims;
+        let kind = match Actions::of(&demos.header.env.spaces().1) {
+            Actions::Numbers(_) => Actions::Numbers(dims),
+            choices @ Actions::Choices(_) => choices,
+        };
         let mut frames = FrameStore::with_slots(spaces::observation(&space), steps);
         let (mut actions, mut lengths) = (Vec::with_capacity(steps * dims), Vec::new());
         let mut slot = 0;
@@ -54,7 +72,7 @@ impl Pairs {
                 slot += 1;
             }
         }
-        Self { frames, actions, dims, lengths }
+        Self { frames, actions, dims, kind, lengths }
     }
 
     /// How many pairs there are.
@@ -72,9 +90,14 @@ impl Pairs {
         self.frames.observation()
     }
 
-    /// How many dimensions an action has.
+    /// How many numbers an action has; one for a choice.
     pub fn dims(&self) -> usize {
         self.dims
+    }
+
+    /// What actions are.
+    pub fn kind(&self) -> Actions {
+        self.kind
     }
 
     /// The number of pairs in each episode.
@@ -90,6 +113,11 @@ impl Pairs {
     /// The observations of these pairs, as a network takes them (see [`FrameStore::gather`]).
     pub fn observations(&self, pairs: &[usize]) -> Tensor {
         self.frames.gather(pairs)
+    }
+
+    /// The same in the numbers that a network computes with.
+    pub fn observations_for(&self, pairs: &[usize], precision: Precision) -> Tensor {
+        self.frames.gather_for(pairs, precision)
     }
 
     /// The actions of these pairs, [pairs, dims], as they were recorded.

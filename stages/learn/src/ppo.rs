@@ -11,10 +11,12 @@ use crate::checkpoint::{self, Arrays};
 use crate::fast;
 use crate::learner::{LOG_COLUMNS, Learner, LearnerSettings, LearnerState, log_row};
 use crate::log::{RecentScores, Speed, TrainingLog};
+use crate::made_with;
 use crate::net::Network;
 use crate::policy::Policy;
 use crate::rollout::SamplerSettings;
 use crate::spaces;
+use crate::tensorboard::Curves;
 
 /// Runs the kind `ppo`.
 pub struct PpoStage;
@@ -24,6 +26,7 @@ impl Stage for PpoStage {
 
     fn run(params: &PpoParams, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
         fast::prepare();
+        made_with::tell(ctx);
         let architecture =
             spaces::architecture(&params.env, params.policy, params.network, Network::ExpertCnn)?;
         let policy = Policy::new(architecture, &mut ctx.stream("init"))?;
@@ -46,7 +49,10 @@ fn settings(params: &PpoParams) -> LearnerSettings {
         sampler: SamplerSettings {
             mean_action_probability: params.mean_action_probability,
             bootstrap_time_limits: params.bootstrap_time_limits,
+            normalize_observations: params.normalize_observations,
         },
+        normalize_reward: params.normalize_reward,
+        precision: params.precision,
     }
 }
 
@@ -77,6 +83,7 @@ pub fn train(
         }
         None => learner.start()?,
     }
+    let mut curves = Curves::open(ctx)?;
     let speed = Speed::from(learner.steps_done());
     while !learner.finished() {
         while !learner.rollout_full() {
@@ -96,8 +103,9 @@ pub fn train(
         }
         let (update, step, rate) = (learner.updates_done(), learner.steps_done(), learner.learning_rate());
         log.push(&log_row(update, step, rate, &scores, &learner.end_update()));
+        curves.last_row(step, &log)?;
     }
-    Ok((learner.policy, log))
+    Ok((learner.into_policy(), log))
 }
 
 /// Saves a checkpoint where it is time; stops after it where a stop was asked for.

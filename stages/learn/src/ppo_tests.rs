@@ -9,7 +9,7 @@ use std::time::Duration;
 use super::*;
 use crate::bc::tests::{outputs, stop_often};
 use crate::net::Observation;
-use crate::policy::Architecture;
+use crate::policy::{Architecture, PolicyFamily};
 use crate::test_env::Echo;
 
 const OUTPUTS: [&str; 2] = ["policy", "log"];
@@ -23,10 +23,13 @@ impl Stage for Tiny {
     fn run(params: &PpoParams, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
         fast::prepare();
         let observation = Observation::Vector { len: 1 };
-        let architecture =
-            Architecture { network: Network::Mlp, family: params.policy, observation, actions: 1 };
+        let (count, family) = (params.envs as usize, params.policy);
+        let (envs, actions) = match family {
+            PolicyFamily::Categorical => (Echo::choosing(count, 10), 3),
+            _ => (Echo::several(count, 10, Outcome::TimeLimit), 1),
+        };
+        let architecture = Architecture { network: Network::Mlp, family, observation, actions };
         let policy = Policy::new(architecture, &mut ctx.stream("init"))?;
-        let envs = Echo::several(params.envs as usize, 10, Outcome::TimeLimit);
         let (policy, log) = train(params, policy, envs, ctx)?;
         ctx.write_output("policy", policy.to_bytes()?)?;
         ctx.write_output("log", log.to_csv()?)
@@ -57,6 +60,14 @@ fn both_families_learn_to_say_the_number_they_see() {
         let rates = cells(&outputs[1], "learning_rate");
         assert!((rates[0] - 3e-3).abs() < 1e-12 && (rates[59] - 3e-3 / 60.0).abs() < 1e-12);
     }
+}
+
+#[test]
+fn choices_are_learnt() {
+    let outputs = outputs(&Bench::new::<Tiny>(&tiny("categorical", 60), 1).unwrap(), &OUTPUTS);
+    let scores = cells(&outputs[1], "score_mean_100");
+    // Of 10 at most; a third comes by chance.
+    assert!(scores[0] < 5.0 && scores[59] > 7.5, "{scores:?}");
 }
 
 #[test]
@@ -116,6 +127,52 @@ fn a_checkpoint_that_is_cut_off_means_a_new_start_with_the_same_result() {
     let bytes = std::fs::read(&file).unwrap();
     std::fs::write(&file, &bytes[..bytes.len() - 1]).unwrap();
     assert_eq!(outputs(&stopped, &OUTPUTS), whole);
+}
+
+#[test]
+fn an_agent_that_learnt_from_scaled_observations_carries_their_statistics() {
+    let mut params = tiny("gaussian", 40);
+    params["normalize_observations"] = json!(true);
+    params["normalize_reward"] = json!(true);
+    let bench = Bench::new::<Tiny>(&params, 1).unwrap();
+    let whole = outputs(&bench, &OUTPUTS);
+    let scores = cells(&whole[1], "score_mean_100");
+    assert!(scores[39] > scores[1] + 1.0, "scores are the environment's own: {scores:?}");
+    let policy = Policy::load("policy", &bench.output("policy").unwrap()).unwrap();
+    let statistics = policy.statistics.clone().unwrap();
+    // Numbers from -1 to 1 have mean 0 and variance 1/3.
+    let shown = statistics.scale(&[1.0])[0];
+    assert!((shown - 3.0_f32.sqrt()).abs() < 0.1, "{shown}");
+    assert_eq!(policy.to_bytes().unwrap(), whole[0]);
+    let stopped = Bench::new::<Tiny>(&params, 1).unwrap();
+    stop_often(&stopped, 50);
+    assert_eq!(outputs(&stopped, &OUTPUTS), whole);
+}
+
+#[test]
+fn short_numbers_learn_too_and_give_equal_bytes_after_stops() {
+    let mut params = tiny("beta", 40);
+    params["precision"] = json!("bf16");
+    let whole = outputs(&Bench::new::<Tiny>(&params, 1).unwrap(), &OUTPUTS);
+    let scores = cells(&whole[1], "score_mean_100");
+    assert!(scores[39] > scores[1] + 1.0, "{scores:?}");
+    let stopped = Bench::new::<Tiny>(&params, 1).unwrap();
+    stop_often(&stopped, 40);
+    assert_eq!(outputs(&stopped, &OUTPUTS), whole);
+    assert_ne!(outputs(&Bench::new::<Tiny>(&tiny("beta", 40), 1).unwrap(), &OUTPUTS)[0], whole[0]);
+}
+
+#[test]
+fn curves_are_written_where_they_are_asked_for_and_change_nothing() {
+    let plain = outputs(&Bench::new::<Tiny>(&tiny("beta", 3), 1).unwrap(), &OUTPUTS);
+    let folder = tempfile::tempdir().unwrap();
+    let watched = Bench::new::<Tiny>(&tiny("beta", 3), 1).unwrap().curves(&folder.path().join("a"));
+    assert_eq!(outputs(&watched, &OUTPUTS), plain);
+    let files: Vec<_> = std::fs::read_dir(folder.path().join("a")).unwrap().collect();
+    assert_eq!(files.len(), 1);
+    let bytes = std::fs::read(files[0].as_ref().unwrap().path()).unwrap();
+    let count = |name: &[u8]| bytes.windows(name.len()).filter(|window| *window == name).count();
+    assert_eq!((count(b"brain.Event:2"), count(b"approx_kl"), count(b"steps_per_second")), (1, 3, 2));
 }
 
 #[test]

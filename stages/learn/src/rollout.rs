@@ -1,6 +1,6 @@
 //! What a rollout gathers, and the advantages that it gives.
 
-use dril_envs::{FinishedEpisode, Outcome, VecEnv};
+use dril_envs::{FinishedEpisode, ObservationSpace, Outcome, VecEnv};
 use dril_stage_api::{Seed, StageError, StreamRng};
 use rand::Rng;
 use serde::{Deserialize, Serialize};
@@ -10,7 +10,8 @@ use crate::act::{Acted, act};
 use crate::checkpoint::{Arrays, foreign};
 use crate::frames::FrameStore;
 use crate::net::Observation;
-use crate::policy::Policy;
+use crate::normalize::ObservationStatistics;
+use crate::policy::{Policy, to_environment};
 
 /// The steps of several environments between two updates. Lists are in the order of time, the environments of one step
 /// side by side: entry `t · envs + env`.
@@ -186,8 +187,9 @@ pub struct Sampler {
     actions: StreamRng,
     /// The seeds of each environment's episodes.
     tracks: Vec<StreamRng>,
-    mean_action_probability: f64,
-    bootstrap_time_limits: bool,
+    settings: SamplerSettings,
+    /// What observations are scaled by; they learn with every step.
+    statistics: Option<ObservationStatistics>,
 }
 
 /// How a [`Sampler`] acts and what it makes of time limits.
@@ -197,6 +199,8 @@ pub struct SamplerSettings {
     pub mean_action_probability: f64,
     /// True where the state after a time limit keeps its value; false where a time limit counts as a real end.
     pub bootstrap_time_limits: bool,
+    /// True where observation vectors are scaled by their running statistics.
+    pub normalize_observations: bool,
 }
 
 /// The state of a [`Sampler`] for a checkpoint.
@@ -205,15 +209,34 @@ pub struct SamplerState {
     envs: dril_envs::VecEnvSnapshot,
     actions: StreamRng,
     tracks: Vec<StreamRng>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    statistics: Option<ObservationStatistics>,
 }
 
 impl Sampler {
     /// A sampler over `envs`, with streams of its own from the seed.
     pub fn new(envs: VecEnv, seed: Seed, settings: SamplerSettings) -> Self {
         let tracks = (0..envs.len()).map(|env| seed.stream(&format!("tracks/{env}"))).collect();
-        let SamplerSettings { mean_action_probability, bootstrap_time_limits } = settings;
-        let actions = seed.stream("action");
-        Self { envs, actions, tracks, mean_action_probability, bootstrap_time_limits }
+        let statistics = match envs.spaces().0 {
+            ObservationSpace::Vector { len } if settings.normalize_observations => {
+                Some(ObservationStatistics::new(len))
+            }
+            _ => None,
+        };
+        Self { envs, actions: seed.stream("action"), tracks, settings, statistics }
+    }
+
+    /// What observations are scaled by, as it stands now.
+    pub fn statistics(&self) -> Option<&ObservationStatistics> {
+        self.statistics.as_ref()
+    }
+
+    /// Takes what the environments show into the statistics, where there are any.
+    fn observe(&mut self) {
+        let Self { envs, statistics, .. } = self;
+        if let Some(statistics) = statistics {
+            statistics.observe((0..envs.len()).map(|env| envs.frame(env)));
+        }
     }
 
     /// Starts the first episodes.
@@ -223,8 +246,10 @@ impl Sampler {
     pub fn start(&mut self, rollout: &mut Rollout) -> Result<(), StageError> {
         let tracks = &mut self.tracks;
         self.envs.reset_all(|env| tracks[env].next_u64()).map_err(StageError::failed)?;
+        self.observe();
         for env in 0..self.envs.len() {
-            rollout.frames.set(rollout.slot(0, env), self.envs.frame(env), true);
+            let slot = rollout.slot(0, env);
+            rollout.frames.set_scaled(slot, self.envs.frame(env), true, self.statistics.as_ref());
         }
         Ok(())
     }
@@ -240,12 +265,15 @@ impl Sampler {
         rollout: &mut Rollout,
         t: usize,
     ) -> Result<Vec<FinishedEpisode>, StageError> {
-        let acted = act(policy, &rollout.observations(t), self.mean_action_probability, &mut self.actions);
+        let acted =
+            act(policy, &rollout.observations(t), self.settings.mean_action_probability, &mut self.actions);
         record_acting(rollout, t, &acted);
-        let clipped: Vec<f32> = acted.actions.iter().map(|action| action.clamp(-1.0, 1.0)).collect();
+        let family = policy.architecture().family;
+        let clipped: Vec<f32> = acted.actions.iter().map(|action| to_environment(family, *action)).collect();
         let tracks = &mut self.tracks;
         let steps = self.envs.step(&clipped, |env| tracks[env].next_u64()).map_err(StageError::failed)?;
         let steps = steps.to_vec();
+        self.observe();
         let mut finished = Vec::new();
         for (env, step) in steps.into_iter().enumerate() {
             let (entry, slot) = (t * rollout.envs + env, rollout.slot(t + 1, env));
@@ -253,15 +281,17 @@ impl Sampler {
             rollout.ends[entry] = step.outcome.ended();
             rollout.cut_values[entry] = 0.0;
             if let Some(episode) = step.finished {
-                if step.outcome == Outcome::TimeLimit && self.bootstrap_time_limits {
-                    rollout.frames.set(slot, episode.last_frame.as_frame(), false);
+                if step.outcome == Outcome::TimeLimit && self.settings.bootstrap_time_limits {
+                    let frame = episode.last_frame.as_frame();
+                    rollout.frames.set_scaled(slot, frame, false, self.statistics.as_ref());
                     let observation = rollout.frames.gather(&[slot]);
                     rollout.cut_values[entry] =
                         tch::no_grad(|| policy.values(&observation)).double_value(&[0]) as f32;
                 }
                 finished.push(episode);
             }
-            rollout.frames.set(slot, self.envs.frame(env), step.outcome.ended());
+            let (frame, first) = (self.envs.frame(env), step.outcome.ended());
+            rollout.frames.set_scaled(slot, frame, first, self.statistics.as_ref());
         }
         Ok(finished)
     }
@@ -272,6 +302,7 @@ impl Sampler {
             envs: self.envs.snapshot(),
             actions: self.actions.clone(),
             tracks: self.tracks.clone(),
+            statistics: self.statistics.clone(),
         }
     }
 
@@ -283,6 +314,7 @@ impl Sampler {
         self.envs.restore(&state.envs).map_err(|error| foreign(&error.to_string()))?;
         self.actions = state.actions;
         self.tracks = state.tracks;
+        self.statistics = state.statistics;
         Ok(())
     }
 }

@@ -67,7 +67,11 @@ fn policy() -> Policy {
 
 fn sampled(outcome: Outcome, bootstrap_time_limits: bool) -> (Policy, Rollout, Vec<f32>) {
     let policy = policy();
-    let settings = SamplerSettings { mean_action_probability: 0.0, bootstrap_time_limits };
+    let settings = SamplerSettings {
+        mean_action_probability: 0.0,
+        bootstrap_time_limits,
+        normalize_observations: false,
+    };
     let mut sampler = Sampler::new(Echo::several(2, 3, outcome), Seed(5), settings);
     let mut rollout = Rollout::new(OBSERVATION, 1, 2, 7);
     sampler.start(&mut rollout).unwrap();

@@ -6,9 +6,11 @@ use dril_envs::{
 use dril_stage_api::{Seed, StreamRng};
 use rand::RngExt;
 
-/// Shows a number from -1 to 1 and rewards 1 − |action − number|; an episode has `steps` of them.
+/// Shows a number from -1 to 1 and rewards 1 − |action − number|; an episode has `steps` of them. With choices, the
+/// right one is 0 for numbers up to -1/3, 1 up to 1/3, 2 above, and rewards 1.
 pub(crate) struct Echo {
     steps: usize,
+    choices: bool,
     /// How the last step ends the episode.
     outcome: Outcome,
     seed: Option<u64>,
@@ -20,7 +22,7 @@ pub(crate) struct Echo {
 impl Echo {
     pub(crate) fn new(steps: usize, outcome: Outcome) -> Self {
         let numbers = Seed(0).stream("numbers");
-        Self { steps, outcome, seed: None, numbers, shown: [0.0], actions: Vec::new() }
+        Self { steps, choices: false, outcome, seed: None, numbers, shown: [0.0], actions: Vec::new() }
     }
 
     pub(crate) const SPACES: (ObservationSpace, ActionSpace) =
@@ -30,6 +32,15 @@ impl Echo {
     pub(crate) fn several(count: usize, steps: usize, outcome: Outcome) -> VecEnv {
         let envs = (0..count).map(|_| Box::new(Self::new(steps, outcome)) as Box<dyn Env>);
         VecEnv::of(envs.collect(), Self::SPACES, 1).unwrap()
+    }
+
+    /// Several that take choices.
+    pub(crate) fn choosing(count: usize, steps: usize) -> VecEnv {
+        let envs = (0..count).map(|_| {
+            Box::new(Self { choices: true, ..Self::new(steps, Outcome::TimeLimit) }) as Box<dyn Env>
+        });
+        let spaces = (Self::SPACES.0, ActionSpace::Discrete { actions: 3 });
+        VecEnv::of(envs.collect(), spaces, 1).unwrap()
     }
 
     fn show(&mut self) {
@@ -43,7 +54,7 @@ impl Env for Echo {
     }
 
     fn action_space(&self) -> ActionSpace {
-        Self::SPACES.1
+        if self.choices { ActionSpace::Discrete { actions: 3 } } else { Self::SPACES.1 }
     }
 
     fn reset(&mut self, seed: u64) -> Result<(), EnvError> {
@@ -58,9 +69,13 @@ impl Env for Echo {
         if self.actions.len() == self.steps {
             return Err(EnvError::Over { length: self.steps });
         }
-        let action = action[0].clamp(-1.0, 1.0);
-        self.actions.push(action);
-        let reward = f64::from(1.0 - (action - self.shown[0]).abs());
+        self.actions.push(action[0]);
+        let reward = if self.choices {
+            let right = ((self.shown[0] + 1.0) * 1.5).min(2.0).floor();
+            f64::from(u8::from(right == action[0]))
+        } else {
+            f64::from(1.0 - (action[0].clamp(-1.0, 1.0) - self.shown[0]).abs())
+        };
         self.show();
         let over = self.actions.len() == self.steps;
         Ok(Step { reward, outcome: if over { self.outcome } else { Outcome::Running } })

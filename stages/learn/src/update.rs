@@ -1,10 +1,10 @@
 //! One update of proximal policy optimisation: the loss, the step for a minibatch, and the order of minibatches.
 
-use dril_kinds::UpdateSettings;
+use dril_kinds::{Algorithm, UpdateSettings};
 use dril_stage_api::{StageError, StreamRng};
 use rand::seq::SliceRandom;
 use serde::{Deserialize, Serialize};
-use tch::{Kind, Tensor};
+use tch::{Device, Kind, Tensor};
 
 use crate::optim::Adam;
 use crate::policy::{Forward, Policy};
@@ -66,6 +66,26 @@ pub fn ppo_loss(
     Losses { policy, value, entropy, total, clip_fraction, approx_kl }
 }
 
+/// The loss of advantage actor-critic (Mnih et al. 2016), in the form of the reference: advantages are the returns less
+/// the values as the network has them now, and not normalised.
+pub fn a2c_loss(
+    log_probs: &Tensor,
+    values: &Tensor,
+    entropies: &Tensor,
+    samples: &Samples,
+    settings: &UpdateSettings,
+) -> Losses {
+    let advantages: Tensor = &samples.returns - values;
+    let policy = -(advantages.detach() * log_probs).mean(Kind::Float);
+    let value = advantages.square().mean(Kind::Float);
+    let entropy = entropies.mean(Kind::Float);
+    let total = &policy + &value * settings.value_coef - &entropy * settings.entropy_coef;
+    let log_ratio: Tensor = (log_probs - &samples.old_log_probs).detach();
+    let approx_kl = (log_ratio.exp() - 1.0 - log_ratio).mean(Kind::Float);
+    let clip_fraction = Tensor::zeros([], (Kind::Float, Device::Cpu));
+    Losses { policy, value, entropy, total, clip_fraction, approx_kl }
+}
+
 /// Means over the minibatches of an update, and what is known of it as a whole.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct UpdateStats {
@@ -121,9 +141,13 @@ impl Update {
         stream: &mut StreamRng,
     ) -> Option<Vec<usize>> {
         let entries = self.normalized.len();
-        let size = entries / settings.minibatches as usize;
+        let (epochs, minibatches) = match settings.algorithm {
+            Algorithm::Ppo => (settings.epochs, settings.minibatches),
+            Algorithm::A2c => (1, 1),
+        };
+        let size = entries / minibatches as usize;
         if self.order.is_empty() || self.next + size > entries {
-            if self.epoch == settings.epochs {
+            if self.epoch == epochs {
                 return None;
             }
             self.epoch += 1;
@@ -150,10 +174,15 @@ impl Update {
         learning_rate: f64,
     ) -> Result<(), StageError> {
         let slots: Vec<usize> = minibatch.iter().map(|&entry| rollout.entry_slot(entry)).collect();
-        let Forward { distribution, values } = policy.forward(&rollout.frames.gather(&slots));
+        let Forward { distribution, values } =
+            policy.forward(&rollout.frames.gather_for(&slots, policy.params.precision()));
         let samples = self.samples(rollout, minibatch);
         let log_probs = distribution.log_prob(&pick_rows(&rollout.samples, rollout.dims, minibatch));
-        let losses = ppo_loss(&log_probs, &values, &distribution.entropy(), &samples, settings);
+        let loss = match settings.algorithm {
+            Algorithm::Ppo => ppo_loss,
+            Algorithm::A2c => a2c_loss,
+        };
+        let losses = loss(&log_probs, &values, &distribution.entropy(), &samples, settings);
         self.add(&losses)?;
         let gradients = policy.params.gradients(&losses.total, adam.ids());
         adam.step(&mut policy.params, &gradients, learning_rate, Some(settings.max_grad_norm));

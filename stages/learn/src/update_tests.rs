@@ -7,8 +7,34 @@ use proptest::prelude::*;
 
 use super::*;
 
+#[test]
+fn actor_critic_learns_once_from_the_whole_rollout_with_plain_advantages() {
+    crate::fast::prepare();
+    let settings = UpdateSettings { algorithm: Algorithm::A2c, epochs: 7, minibatches: 5, ..settings() };
+    let batch = Advantages { advantages: vec![0.5; 10], returns: vec![1.0; 10] };
+    let (mut update, mut stream) = (Update::new(batch), Seed(1).stream("minibatch"));
+    let mut all = update.next_minibatch(&settings, &mut stream).unwrap();
+    all.sort_unstable();
+    assert_eq!(all, (0..10).collect::<Vec<_>>());
+    assert_eq!(update.next_minibatch(&settings, &mut stream), None);
+    let row = |values: [f32; 2]| Tensor::from_slice(&values);
+    let samples = Samples {
+        old_log_probs: row([-1.0, -2.0]),
+        old_values: row([0.0, 0.0]),
+        advantages: row([100.0, 100.0]),
+        returns: row([3.0, 1.0]),
+    };
+    let losses = a2c_loss(&row([-1.0, -2.0]), &row([1.0, 2.0]), &row([0.7, 0.9]), &samples, &settings);
+    let value = |tensor: &Tensor| tensor.double_value(&[]);
+    // Advantages 2 and −1: −(2·(−1) + (−1)·(−2)) / 2 and (4 + 1) / 2.
+    assert!((value(&losses.policy) - 0.0).abs() < 1e-6 && (value(&losses.value) - 2.5).abs() < 1e-6);
+    let total = 2.5 * settings.value_coef - 0.8 * settings.entropy_coef;
+    assert!((value(&losses.total) - total).abs() < 1e-6);
+}
+
 fn settings() -> UpdateSettings {
     UpdateSettings {
+        algorithm: Algorithm::Ppo,
         epochs: 3,
         minibatches: 4,
         clip_range: 0.2,

@@ -58,7 +58,8 @@ impl<'a> Cloning<'a> {
     /// The loss is not a number.
     pub(super) fn step(&mut self, policy: &mut Policy) -> Result<(), StageError> {
         let batch = random_batch(&self.train, self.batch_size, &mut self.stream);
-        let loss = policy.loss(&self.pairs.observations(&batch), &self.pairs.actions(&batch));
+        let seen = self.pairs.observations_for(&batch, policy.params.precision());
+        let loss = policy.loss(&seen, &self.pairs.actions(&batch));
         let value = loss.double_value(&[]);
         if !value.is_finite() {
             return Err(StageError::failed(format!(

@@ -21,11 +21,13 @@ use crate::ensemble::Ensemble;
 use crate::fast;
 use crate::learner::{LOG_COLUMNS, Learner, LearnerSettings, LearnerState, log_row};
 use crate::log::{RecentScores, Speed, TrainingLog};
+use crate::made_with;
 use crate::pairs::Pairs;
 use crate::policy::Policy;
 use crate::rollout::SamplerSettings;
 use crate::spaces;
 use crate::split::divide;
+use crate::tensorboard::Curves;
 
 use cloning::{Cloning, CloningState};
 use peak::PeakTracker;
@@ -40,6 +42,7 @@ impl Stage for DrilStage {
 
     fn run(params: &DrilParams, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
         fast::prepare();
+        made_with::tell(ctx);
         let policy = Policy::load("policy", ctx.input("policy")?)?;
         let ensemble = Ensemble::load("ensemble", ctx.input("ensemble")?)?;
         let pairs = Pairs::load("demonstrations", ctx.input("demonstrations")?)?;
@@ -56,16 +59,22 @@ impl Stage for DrilStage {
 /// Checks that all inputs are about the same observations and actions.
 fn check(params: &DrilParams, policy: &Policy, ensemble: &Ensemble, pairs: &Pairs) -> Result<(), StageError> {
     spaces::check(policy, &params.env)?;
-    let (observation, actions) = spaces::of(&params.env)?;
+    if policy.statistics.is_some() {
+        return Err(StageError::failed(
+            "the input `policy` scales its observations, but the ensemble has learnt from plain ones; give it a policy \
+             that was cloned from the demonstrations (kind `bc`)",
+        ));
+    }
+    let (observation, actions) = spaces::of(&params.env);
     let about = ensemble.architecture();
     for (what, seen) in [
-        ("ensemble", (about.observation, about.actions)),
-        ("demonstrations", (pairs.observation(), pairs.dims())),
+        ("ensemble", (about.observation, about.kind())),
+        ("demonstrations", (pairs.observation(), pairs.kind())),
     ] {
         if seen != (observation, actions) {
             return Err(StageError::failed(format!(
-                "the input `{what}` is of {:?} with {} action dimensions, but `env` shows {observation:?} and takes \
-                 {actions}; give `env` the environment that the demonstrations were recorded in",
+                "the input `{what}` is of {:?} and {}, but `env` shows {observation:?} and takes {actions}; give `env` the \
+                 environment that the demonstrations were recorded in",
                 seen.0, seen.1
             )));
         }
@@ -85,7 +94,11 @@ fn settings(params: &DrilParams) -> LearnerSettings {
         sampler: SamplerSettings {
             mean_action_probability: params.mean_action_probability,
             bootstrap_time_limits: params.bootstrap_time_limits,
+            normalize_observations: false,
         },
+        // The signal scales the rewards that it makes.
+        normalize_reward: false,
+        precision: params.precision,
     }
 }
 
@@ -169,6 +182,7 @@ impl<'a> Training<'a> {
 
     /// The whole training: rollouts and updates in turn until the steps are used up.
     fn run(mut self, ctx: &mut Ctx<'_>) -> Result<Trained, StageError> {
+        let mut curves = Curves::open(ctx)?;
         let speed = Speed::from(self.learner.steps_done());
         while !self.learner.finished() {
             self.gather(ctx, speed)?;
@@ -181,8 +195,9 @@ impl<'a> Training<'a> {
                 self.save_if_due(ctx)?;
             }
             self.end_update();
+            curves.last_row(self.learner.steps_done(), &self.course.log)?;
         }
-        Ok(Trained { policy: self.learner.policy, peak: self.peak, log: self.course.log })
+        Ok(Trained { policy: self.learner.into_policy(), peak: self.peak, log: self.course.log })
     }
 
     /// Fills the rollout.

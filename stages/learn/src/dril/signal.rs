@@ -1,15 +1,17 @@
 //! DRIL's reward: the ensemble's disagreement on what the agent does, against a threshold taken from what the expert did.
 
-use dril_kinds::{DrilParams, RewardScheme};
+use dril_kinds::{DrilParams, RewardScheme, Thresholds};
 use dril_stage_api::StageError;
 use serde::{Deserialize, Serialize};
 
-use super::reward::{RewardNormalizer, USignal};
-use crate::disagreement::{MemberOutputs, continuous_costs, quantile, reward};
+use super::reward::USignal;
+use crate::disagreement::{MemberOutputs, continuous_costs, discrete_costs, quantile, reward};
 use crate::ensemble::Ensemble;
 use crate::frames::FrameStore;
+use crate::normalize::RewardNormalizer;
 use crate::pairs::Pairs;
 use crate::rollout::Rollout;
+use crate::spaces::Actions;
 
 /// Samples in one go through the ensemble. A constant: other widths give other last bits.
 const BATCH: usize = 256;
@@ -24,8 +26,11 @@ pub(super) struct Signal<'a> {
 /// The part of a checkpoint.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct SignalState {
-    /// The cost above which the members count as disagreeing.
+    /// The cost above which the members count as disagreeing; not used where each choice has its own.
     pub(super) threshold: f64,
+    /// The same for each choice; empty where actions are numbers.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) thresholds: Vec<f64>,
     u_signal: USignal,
     /// None where rewards are not scaled.
     normalizer: Option<RewardNormalizer>,
@@ -52,12 +57,24 @@ impl<'a> Signal<'a> {
         params: &DrilParams,
     ) -> Result<Self, StageError> {
         let all: Vec<usize> = (0..pairs.len()).collect();
-        let costs = costs(ensemble, pairs.frames(), &all, &pairs.action_values(&all))?;
-        let threshold = quantile(&costs, params.quantile)
+        let (threshold, thresholds) = match ensemble.architecture().kind() {
+            Actions::Numbers(_) => {
+                let costs = costs(ensemble, pairs.frames(), &all, &pairs.action_values(&all))?;
+                (quantile(&costs, params.quantile), Vec::new())
+            }
+            Actions::Choices(_) => {
+                let mut own = choice_thresholds(ensemble, pairs, params.quantile)?;
+                if let (Thresholds::LastChoice, Some(last)) = (params.thresholds, own.last().copied()) {
+                    own.fill(last);
+                }
+                (own.last().copied(), own)
+            }
+        };
+        let threshold = threshold
             .ok_or_else(|| StageError::failed("there is no demonstrated pair to take a threshold from"))?;
         let envs = params.envs as usize;
         let normalizer = params.normalize_reward.then(|| RewardNormalizer::new(envs, params.gamma));
-        let state = SignalState { threshold, u_signal: USignal::new(envs), normalizer };
+        let state = SignalState { threshold, thresholds, u_signal: USignal::new(envs), normalizer };
         Ok(Self { ensemble, scheme: params.reward, state })
     }
 
@@ -79,8 +96,9 @@ impl<'a> Signal<'a> {
     pub(super) fn replace_rewards(&mut self, rollout: &mut Rollout) -> Result<RolloutSignal, StageError> {
         let slots: Vec<usize> = (0..rollout.len()).map(|entry| rollout.entry_slot(entry)).collect();
         let costs = costs(self.ensemble, &rollout.frames, &slots, &rollout.actions)?;
-        for (to, cost) in rollout.rewards.iter_mut().zip(&costs) {
-            *to = reward(self.scheme, *cost, self.state.threshold);
+        let actions = rollout.actions.chunks_exact(rollout.dims);
+        for ((to, cost), action) in rollout.rewards.iter_mut().zip(&costs).zip(actions) {
+            *to = reward(self.scheme, *cost, self.state.limit(action));
         }
         let ended = self.state.u_signal.observe(&rollout.rewards, &rollout.ends);
         if let Some(normalizer) = &mut self.state.normalizer {
@@ -91,26 +109,67 @@ impl<'a> Signal<'a> {
     }
 }
 
-/// The cost of each sample's action. The encoder sees every observation once, whatever the number of members.
+impl SignalState {
+    /// The threshold for an action.
+    fn limit(&self, action: &[f32]) -> f64 {
+        let choice = action.first().map_or(0, |choice| *choice as usize);
+        self.thresholds.get(choice).copied().unwrap_or(self.threshold)
+    }
+}
+
+/// The cost of each sample's action.
 fn costs(
     ensemble: &Ensemble,
     frames: &FrameStore,
     slots: &[usize],
     actions: &[f32],
 ) -> Result<Vec<f64>, StageError> {
-    let (members, dims) = (ensemble.architecture().members, ensemble.architecture().actions);
+    let kind = ensemble.architecture().kind();
+    let len = if let Actions::Numbers(dims) = kind { dims } else { 1 };
     let mut costs = Vec::with_capacity(slots.len());
-    for (slots, actions) in slots.chunks(BATCH).zip(actions.chunks(BATCH * dims)) {
-        let answers = ensemble.answers(&frames.gather(slots));
-        let outputs = MemberOutputs::new(answers, members, dims).ok_or_else(|| {
-            StageError::failed("the ensemble's answers have another shape than its description")
-        })?;
-        costs.extend(continuous_costs(&outputs, actions));
-    }
+    let mut actions = actions.chunks(BATCH * len);
+    for_batches(ensemble, frames, slots, |outputs| {
+        let actions = actions.next().unwrap_or_default();
+        match kind {
+            Actions::Numbers(_) => costs.extend(continuous_costs(outputs, actions)),
+            Actions::Choices(_) => costs.extend(discrete_costs(outputs, actions)),
+        }
+    })?;
     match costs.iter().find(|cost| !cost.is_finite()) {
         None => Ok(costs),
         Some(cost) => Err(StageError::failed(format!(
             "the ensemble's disagreement is {cost}, expected a number; train it again"
         ))),
     }
+}
+
+/// The quantile of each choice's cost over all pairs, whichever choice was made there (thesis figure 17).
+fn choice_thresholds(ensemble: &Ensemble, pairs: &Pairs, q: f64) -> Result<Vec<f64>, StageError> {
+    let all: Vec<usize> = (0..pairs.len()).collect();
+    let mut costs: Vec<Vec<f64>> = vec![Vec::new(); ensemble.architecture().actions];
+    for_batches(ensemble, pairs.frames(), &all, |outputs| {
+        for (choice, costs) in costs.iter_mut().enumerate() {
+            costs.extend((0..outputs.samples()).map(|sample| outputs.discrete_cost(sample, choice)));
+        }
+    })?;
+    Ok(costs.iter().filter_map(|costs| quantile(costs, q)).collect())
+}
+
+/// What the ensemble answers to the observations in these slots, batch by batch. The encoder sees every observation
+/// once, whatever the number of members.
+fn for_batches(
+    ensemble: &Ensemble,
+    frames: &FrameStore,
+    slots: &[usize],
+    mut each: impl FnMut(&MemberOutputs),
+) -> Result<(), StageError> {
+    let (members, count) = (ensemble.architecture().members, ensemble.architecture().actions);
+    for slots in slots.chunks(BATCH) {
+        let answers = ensemble.answers(&frames.gather(slots));
+        let outputs = MemberOutputs::new(answers, members, count).ok_or_else(|| {
+            StageError::failed("the ensemble's answers have another shape than its description")
+        })?;
+        each(&outputs);
+    }
+    Ok(())
 }

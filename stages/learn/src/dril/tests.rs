@@ -18,6 +18,7 @@ use crate::net::Observation;
 use crate::pairs::tests::vector_demos;
 use crate::policy::Architecture;
 use crate::rollout::Rollout;
+use crate::spaces::Actions;
 
 const OUTPUTS: [&str; 3] = ["peak", "final", "log"];
 
@@ -40,11 +41,11 @@ fn bench(params: &Value, seed: u64) -> Bench {
     fast::prepare();
     let bench = Bench::new::<DrilStage>(params, seed).unwrap();
     let folder = bench.folder().to_owned();
-    let (observation, actions) = spaces::of(&EnvConfig::default()).unwrap();
-    let architecture =
-        Architecture { network: Network::DrilCnn, family: PolicyFamily::Beta, observation, actions };
+    let (observation, actions) = spaces::of(&EnvConfig::default());
+    let (network, family) = (Network::DrilCnn, PolicyFamily::Beta);
+    let architecture = Architecture { network, family, observation, actions: actions.count() };
     Policy::new(architecture, &mut Seed(7).stream("init")).unwrap().save(&folder.join("policy")).unwrap();
-    let members = ensemble::Architecture { observation, actions, members: 2 };
+    let members = ensemble::Architecture::new(observation, actions, 2);
     let members = Ensemble::new(members, &mut Seed(7).stream("init")).unwrap();
     std::fs::write(folder.join("ensemble"), members.to_bytes().unwrap()).unwrap();
     expert(4).write(&folder.join("demos")).unwrap();
@@ -133,8 +134,7 @@ fn the_log_has_what_only_dril_knows() {
 #[test]
 fn an_ensemble_for_other_observations_is_refused() {
     let bench = bench(&params(1), 1);
-    let other =
-        ensemble::Architecture { observation: Observation::Vector { len: 3 }, actions: 2, members: 2 };
+    let other = ensemble::Architecture::new(Observation::Vector { len: 3 }, Actions::Numbers(2), 2);
     let other = Ensemble::new(other, &mut Seed(7).stream("init")).unwrap();
     std::fs::write(bench.folder().join("ensemble"), other.to_bytes().unwrap()).unwrap();
     let message = bench.run().unwrap_err().to_string();
@@ -147,7 +147,7 @@ fn vector_world() -> (Ensemble, Pairs) {
     let folder = tempfile::tempdir().unwrap();
     vector_demos(&[30, 20]).write(&folder.path().join("demos")).unwrap();
     let pairs = Pairs::load("demonstrations", &folder.path().join("demos")).unwrap();
-    let members = ensemble::Architecture { observation: pairs.observation(), actions: 2, members: 5 };
+    let members = ensemble::Architecture::new(pairs.observation(), pairs.kind(), 5);
     (Ensemble::new(members, &mut Seed(3).stream("init")).unwrap(), pairs)
 }
 
@@ -181,6 +181,53 @@ fn rewards_follow_from_the_cost_of_each_entrys_own_observation_and_action() {
     let first = (wanted[0] + wanted[2]) / 2.0;
     let second = (wanted[1] + wanted[3] + wanted[5]) / 3.0;
     assert!((summary.u_signal.unwrap() - f64::from((first + second) / 2.0)).abs() < 1e-6);
+}
+
+#[test]
+fn each_choice_has_a_threshold_of_its_own_unless_the_last_one_s_is_asked_for() {
+    let (_, pairs) = vector_world();
+    let members = ensemble::Architecture::new(pairs.observation(), Actions::Choices(4), 5);
+    let ensemble = Ensemble::new(members, &mut Seed(3).stream("init")).unwrap();
+    let signal = |thresholds: &str| {
+        let params = json!({
+            "env": { "car-racing": {} }, "quantile": 0.9, "envs": 1, "normalize_reward": false, "thresholds": thresholds
+        });
+        Signal::new(&ensemble, &pairs, &serde_json::from_value(params).unwrap()).unwrap()
+    };
+    let all: Vec<usize> = (0..pairs.len()).collect();
+    let outputs = MemberOutputs::new(ensemble.answers(&pairs.observations(&all)), 5, 4).unwrap();
+    let wanted: Vec<f64> = (0..4)
+        .map(|choice| {
+            let costs: Vec<f64> = (0..pairs.len()).map(|at| outputs.discrete_cost(at, choice)).collect();
+            crate::disagreement::quantile(&costs, 0.9).unwrap()
+        })
+        .collect();
+    assert_eq!(signal("per-choice").state().thresholds, wanted);
+    assert_eq!(signal("last-choice").state().thresholds, [wanted[3]; 4]);
+    // Each entry's reward follows from its own choice.
+    let mut rollout = Rollout::new(pairs.observation(), 1, 1, 4);
+    for entry in 0..4 {
+        rollout.frames.set(rollout.entry_slot(entry), dril_envs::Frame::Vector(&[9.0, -9.0]), true);
+    }
+    rollout.actions = vec![0.0, 1.0, 2.0, 3.0];
+    signal("per-choice").replace_rewards(&mut rollout).unwrap();
+    let far = ensemble.answers(&tch::Tensor::from_slice(&[9.0_f32, -9.0]).view([1, 2]));
+    let far = MemberOutputs::new(far, 5, 4).unwrap();
+    for (choice, (found, limit)) in rollout.rewards.iter().zip(&wanted).enumerate() {
+        let scheme = dril_kinds::RewardScheme::PlusMinusOne;
+        assert_eq!(*found, reward(scheme, far.discrete_cost(0, choice), *limit));
+    }
+}
+
+#[test]
+fn actor_critic_makes_one_step_a_rollout_and_goes_on_after_stops() {
+    let params = with(params(3), "algorithm", json!("a2c"));
+    let whole = outputs(&bench(&params, 1), &OUTPUTS);
+    assert_ne!(whole[0], whole[1]);
+    let stopped = bench(&params, 1);
+    // Two steps and one minibatch of each update can be stopped after.
+    stop_often(&stopped, 8);
+    assert_eq!(outputs(&stopped, &OUTPUTS), whole);
 }
 
 #[test]

@@ -11,8 +11,11 @@ pub use net::{Architecture, Ensemble};
 
 use crate::fast;
 use crate::imitation::{self, Imitator, Schedule, action_loss};
+use crate::made_with;
 use crate::net::{ParamId, Parameters};
 use crate::pairs::Pairs;
+use crate::policy::categorical;
+use crate::spaces::Actions;
 use crate::split::{Parts, divide, with_replacement};
 
 /// Runs `ensemble` stages.
@@ -24,10 +27,12 @@ impl Stage for EnsembleStage {
 
     fn run(params: &EnsembleParams, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
         fast::prepare();
+        made_with::tell(ctx);
         let pairs = Pairs::load("demonstrations", ctx.input("demonstrations")?)?;
         let members = params.members as usize;
-        let architecture = Architecture { observation: pairs.observation(), actions: pairs.dims(), members };
+        let architecture = Architecture::new(pairs.observation(), pairs.kind(), members);
         let mut ensemble = Ensemble::new(architecture, &mut ctx.stream("init"))?;
+        ensemble.params.set_precision(params.precision);
         let Parts { train, validation } =
             divide(pairs.lengths(), params.validation_fraction, params.split, &mut ctx.stream("split"));
         let train = bootstrap(&train, members, params.bootstrap, &mut ctx.stream("bootstrap"));
@@ -74,12 +79,26 @@ impl Imitator for Ensemble {
 
     /// Each member learns from its own slice.
     fn loss(&self, observations: &Tensor, actions: &Tensor) -> Tensor {
-        action_loss(&self.forward_slices(observations), actions)
+        self.answers_loss(&self.forward_slices(observations), actions)
     }
 
     /// All members are tried on all pairs.
     fn validation_loss(&self, observations: &Tensor, actions: &Tensor) -> Tensor {
-        action_loss(&self.forward(observations), actions)
+        self.answers_loss(&self.forward(observations), actions)
+    }
+}
+
+impl Ensemble {
+    /// The loss of answers [.., batch, count] to the batch's actions: as that of behaviour cloning.
+    fn answers_loss(&self, answers: &Tensor, actions: &Tensor) -> Tensor {
+        match self.architecture().kind() {
+            Actions::Numbers(_) => action_loss(answers, actions),
+            Actions::Choices(count) => {
+                let answers = answers.view([-1, count as i64]);
+                let times = answers.size()[0] / actions.size()[0];
+                categorical::cross_entropy(&answers, &actions.repeat([times, 1]))
+            }
+        }
     }
 }
 

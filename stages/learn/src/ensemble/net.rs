@@ -12,6 +12,7 @@ use tch::Tensor;
 
 use crate::fast::memory;
 use crate::net::{Activation, Builder, LayerInit, Observation, Parameters, Sequential, weights};
+use crate::spaces::Actions;
 
 /// Width of all fully connected layers.
 const HIDDEN: usize = 512;
@@ -22,10 +23,26 @@ const HIDDEN: usize = 512;
 pub struct Architecture {
     /// The input.
     pub observation: Observation,
-    /// How many action dimensions there are.
+    /// How many action dimensions there are, or choices.
     pub actions: usize,
     /// How many members there are.
     pub members: usize,
+    /// True where members answer with the logits of choices; left out of the file where not.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub choices: bool,
+}
+
+impl Architecture {
+    /// Of an ensemble for these observations and actions.
+    pub fn new(observation: Observation, actions: Actions, members: usize) -> Self {
+        let choices = matches!(actions, Actions::Choices(_));
+        Self { observation, actions: actions.count(), members, choices }
+    }
+
+    /// What its answers are about.
+    pub fn kind(&self) -> Actions {
+        if self.choices { Actions::Choices(self.actions) } else { Actions::Numbers(self.actions) }
+    }
 }
 
 /// Several policies that answer with an action each; how far they are apart is DRIL's cost.
@@ -111,7 +128,7 @@ impl Ensemble {
 }
 
 fn check(architecture: Architecture) -> Result<(), StageError> {
-    let Architecture { observation, actions, members } = architecture;
+    let Architecture { observation, actions, members, .. } = architecture;
     if members < 2 {
         return Err(StageError::failed(format!(
             "an ensemble of {members} has no covariance, expected at least 2 members"
@@ -177,11 +194,12 @@ mod tests {
     use tch::{Device, Kind};
 
     const VECTORS: Architecture =
-        Architecture { observation: Observation::Vector { len: 3 }, actions: 2, members: 4 };
+        Architecture { observation: Observation::Vector { len: 3 }, actions: 2, members: 4, choices: false };
     const IMAGES: Architecture = Architecture {
         observation: Observation::Images { height: 36, width: 36, stack: 2 },
         actions: 2,
         members: 3,
+        choices: false,
     };
 
     fn new(architecture: Architecture) -> Ensemble {

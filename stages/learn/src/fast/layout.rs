@@ -60,6 +60,30 @@ fn widen_plain(bytes: &[u8], numbers: &mut [f32]) {
     }
 }
 
+/// Bytes as bfloat16 numbers, which hold 0..=255 exactly: the upper halves of the `f32` bits.
+pub fn widen_short(bytes: &[u8], numbers: &mut [u16]) {
+    #[cfg(target_arch = "x86_64")]
+    if is_x86_feature_detected!("avx2") {
+        #[allow(unsafe_code)]
+        // SAFETY: the instructions were found on this machine.
+        return unsafe { widen_short_avx2(bytes, numbers) };
+    }
+    widen_short_plain(bytes, numbers);
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn widen_short_avx2(bytes: &[u8], numbers: &mut [u16]) {
+    widen_short_plain(bytes, numbers);
+}
+
+#[inline(always)]
+fn widen_short_plain(bytes: &[u8], numbers: &mut [u16]) {
+    for (number, byte) in numbers.iter_mut().zip(bytes) {
+        *number = (f32::from(*byte).to_bits() >> 16) as u16;
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

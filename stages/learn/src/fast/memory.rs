@@ -35,6 +35,17 @@ pub fn values_mut(tensor: &mut Tensor) -> &mut [f32] {
     unsafe { std::slice::from_raw_parts_mut(tensor.data_ptr().cast::<f32>(), tensor.numel()) }
 }
 
+/// The bits of a dense bfloat16 tensor on the CPU, row-major, to be changed.
+pub fn halves_mut(tensor: &mut Tensor) -> &mut [u16] {
+    assert!(
+        tensor.kind() == Kind::BFloat16 && tensor.device() == Device::Cpu && tensor.is_contiguous(),
+        "expected a contiguous bfloat16 tensor on the CPU"
+    );
+    // SAFETY: checked to be contiguous 16-bit numbers on the CPU, so `numel` of them lie at `data_ptr`; the exclusive
+    // borrow excludes another slice made from this tensor.
+    unsafe { std::slice::from_raw_parts_mut(tensor.data_ptr().cast::<u16>(), tensor.numel()) }
+}
+
 fn check(tensor: &Tensor) {
     assert!(
         tensor.kind() == Kind::Float && tensor.device() == Device::Cpu && tensor.is_contiguous(),

@@ -73,18 +73,23 @@ impl Sequential {
 }
 
 impl Layer {
+    /// Each layer takes its input in the kind of its weights.
     fn forward(&self, params: &Parameters, x: &Tensor) -> Tensor {
         match *self {
             Self::Pixels { weight, bias } => {
-                let weight = layout::block_kernel(params.tensor(weight));
-                x.conv2d(&weight, Some(params.tensor(bias)), 1, 0, 1, 1).relu()
+                // Few numbers, scaled before they are rounded: the kernel and not the parameter is made short.
+                let bias = params.weight(bias);
+                let kernel = layout::block_kernel(params.tensor(weight)).to_kind(bias.kind());
+                x.to_kind(bias.kind()).conv2d(&kernel, Some(bias), 1, 0, 1, 1).relu()
             }
             Self::Conv { weight, bias, stride } => {
-                x.conv2d(params.tensor(weight), Some(params.tensor(bias)), stride, 0, 1, 1).relu()
+                let weight = params.weight(weight);
+                x.to_kind(weight.kind()).conv2d(weight, Some(params.weight(bias)), stride, 0, 1, 1).relu()
             }
             Self::Flatten => x.flatten(1, -1),
             Self::Linear { weight, bias, activation } => {
-                activation.apply(x.linear(params.tensor(weight), Some(params.tensor(bias))))
+                let weight = params.weight(weight);
+                activation.apply(x.to_kind(weight.kind()).linear(weight, Some(params.weight(bias))))
             }
         }
     }
@@ -95,6 +100,9 @@ impl Layer {
 pub struct Builder {
     specs: Vec<ParamSpec>,
 }
+
+/// Layers with fewer outputs than this are never rounded (see [`ParamSpec::may_round`]).
+const NARROW: usize = 32;
 
 /// The kernel size and stride of the three convolutions of Mnih et al. (2015).
 const CONVOLUTIONS: [(i64, i64); 3] = [(8, 4), (4, 2), (3, 1)];
@@ -107,7 +115,7 @@ impl Builder {
 
     /// A parameter that belongs to no layer.
     pub fn param(&mut self, name: impl Into<String>, shape: &[i64], init: Init) -> ParamId {
-        self.specs.push(ParamSpec { name: name.into(), shape: shape.to_vec(), init });
+        self.specs.push(ParamSpec { name: name.into(), shape: shape.to_vec(), init, may_round: false });
         ParamId(self.specs.len() - 1)
     }
 
@@ -121,6 +129,10 @@ impl Builder {
         activation: Activation,
     ) {
         let (weight, bias) = self.weight_and_bias(name, &[outputs as i64, inputs as i64], init);
+        // What says the action or the value is not rounded: it costs nothing there.
+        if outputs >= NARROW {
+            self.may_round([weight, bias]);
+        }
         to.0.push(Layer::Linear { weight, bias, activation });
     }
 
@@ -139,8 +151,14 @@ impl Builder {
             let shape = [filters as i64, channels as i64, kernel, kernel];
             let (weight, bias) = self.weight_and_bias(&format!("{name}.{index}"), &shape, init);
             layers.push(match index {
-                0 => Layer::Pixels { weight, bias },
-                _ => Layer::Conv { weight, bias, stride },
+                0 => {
+                    self.may_round([bias]);
+                    Layer::Pixels { weight, bias }
+                }
+                _ => {
+                    self.may_round([weight, bias]);
+                    Layer::Conv { weight, bias, stride }
+                }
             });
             channels = filters;
             height = (height - kernel as usize) / stride as usize + 1;
@@ -158,6 +176,10 @@ impl Builder {
     /// The parameters as zeros, to be replaced by [`super::weights::Weights::fill`].
     pub fn finish_blank(self) -> Parameters {
         Parameters::new(self.specs, None)
+    }
+
+    fn may_round<const N: usize>(&mut self, ids: [ParamId; N]) {
+        ids.into_iter().for_each(|id| self.specs[id.0].may_round = true);
     }
 
     fn weight_and_bias(&mut self, name: &str, shape: &[i64], init: LayerInit) -> (ParamId, ParamId) {

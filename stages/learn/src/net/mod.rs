@@ -69,6 +69,9 @@ impl Trunk {
             (Network::ExpertCnn, Observation::Images { height, width, stack }) => {
                 expert_cnn(build, (stack, height, width))
             }
+            (Network::AtariCnn, Observation::Images { height, width, stack }) => {
+                atari_cnn(build, (stack, height, width))
+            }
             (_, Observation::Images { height, width, stack }) => dril_cnn(build, (stack, height, width)),
             (_, Observation::Vector { len }) => mlp(build, len),
         }
@@ -115,6 +118,16 @@ fn dril_cnn(build: &mut Builder, image: (usize, usize, usize)) -> Trunk {
     build.linear(&mut critic, "critic.0", (pixels, 512), init, Relu);
     build.linear(&mut critic, "critic.1", (512, 1), init, Linear);
     Trunk { shared, actor, critic, features: 512 }
+}
+
+fn atari_cnn(build: &mut Builder, image: (usize, usize, usize)) -> Trunk {
+    use Activation::{Linear, Relu};
+    let init = LayerInit::Default;
+    let (mut shared, pixels) = build.convolutions("conv", image, [32, 64, 64], init);
+    build.linear(&mut shared, "shared", (pixels, 512), init, Relu);
+    let mut critic = Sequential::default();
+    build.linear(&mut critic, "critic.0", (512, 1), init, Linear);
+    Trunk { shared, actor: Sequential::default(), critic, features: 512 }
 }
 
 fn mlp(build: &mut Builder, len: usize) -> Trunk {

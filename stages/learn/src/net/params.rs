@@ -3,7 +3,13 @@
 //! Each parameter is a leaf of autograd and at the same time a window on the flat buffer, so that saving, restoring and
 //! the optimizer walk over plain slices, and gradients come out of [`Parameters::gradients`] without torch's
 //! accumulation into `.grad`.
+//!
+//! With [`Precision::Bf16`] there is a second, shorter copy, which layers compute with; the flat buffer stays the one
+//! that counts.
 
+use std::cell::Cell;
+
+use dril_kinds::Precision;
 use dril_stage_api::StreamRng;
 use tch::{Device, Kind, Tensor};
 
@@ -23,6 +29,8 @@ pub struct ParamSpec {
     pub shape: Vec<i64>,
     /// How it begins.
     pub init: Init,
+    /// True where it may be rounded to 16 bits while the network learns (see [`Precision::Bf16`]).
+    pub may_round: bool,
 }
 
 /// One gradient for each parameter asked for; `None` where the loss does not depend on it.
@@ -35,6 +43,18 @@ pub struct Parameters {
     offsets: Vec<usize>,
     flat: Tensor,
     tensors: Vec<Tensor>,
+    /// None with 32 bits.
+    short: Option<Short>,
+}
+
+/// The copy in 16 bits.
+#[derive(Debug)]
+struct Short {
+    flat: Tensor,
+    /// Leaves of autograd over windows on `flat`; none for parameters that are not rounded.
+    tensors: Vec<Option<Tensor>>,
+    /// True where values have changed since the copy was made.
+    stale: Cell<bool>,
 }
 
 impl Parameters {
@@ -54,7 +74,7 @@ impl Parameters {
             flat.narrow(0, offset as i64, count).view(&*spec.shape).detach().set_requires_grad(true)
         });
         let tensors = tensors.collect();
-        let mut params = Self { specs, offsets, flat, tensors };
+        let mut params = Self { specs, offsets, flat, tensors, short: None };
         if let Some(stream) = stream {
             for id in params.ids() {
                 let spec = params.spec(id);
@@ -85,9 +105,50 @@ impl Parameters {
         &self.specs[id.0]
     }
 
-    /// The tensor to compute with.
+    /// The parameter with 32 bits.
     pub fn tensor(&self, id: ParamId) -> &Tensor {
         &self.tensors[id.0]
+    }
+
+    /// The tensor to compute with: short where the precision says so and the parameter may be rounded.
+    pub fn weight(&self, id: ParamId) -> &Tensor {
+        let Some(short) = &self.short else { return self.tensor(id) };
+        if short.stale.replace(false) {
+            tch::no_grad(|| short.flat.shallow_clone().copy_(&self.flat));
+        }
+        short.tensors[id.0].as_ref().unwrap_or_else(|| self.tensor(id))
+    }
+
+    /// The numbers that layers compute with from now on.
+    pub fn set_precision(&mut self, precision: Precision) {
+        self.short = match precision {
+            Precision::Fp32 => None,
+            Precision::Bf16 => Some(self.shortened()),
+        };
+    }
+
+    /// The numbers that layers compute with.
+    pub fn precision(&self) -> Precision {
+        if self.short.is_some() { Precision::Bf16 } else { Precision::Fp32 }
+    }
+
+    fn shortened(&self) -> Short {
+        let flat = self.flat.to_kind(Kind::BFloat16);
+        let window = |id: ParamId| {
+            let (spec, offset) = (self.spec(id), self.offsets[id.0]);
+            let count = spec.shape.iter().product::<i64>();
+            let window = flat.narrow(0, offset as i64, count).view(&*spec.shape).detach();
+            spec.may_round.then(|| window.set_requires_grad(true))
+        };
+        let tensors = self.ids().map(window).collect();
+        Short { flat, tensors, stale: Cell::new(false) }
+    }
+
+    /// To be called after the values change.
+    fn changed(&self) {
+        if let Some(short) = &self.short {
+            short.stale.set(true);
+        }
     }
 
     /// The values of one parameter, row-major.
@@ -97,6 +158,7 @@ impl Parameters {
 
     /// The values of one parameter, to be changed.
     pub fn slice_mut(&mut self, id: ParamId) -> &mut [f32] {
+        self.changed();
         &mut memory::values_mut(&mut self.flat)[self.offsets[id.0]..self.offsets[id.0 + 1]]
     }
 
@@ -107,13 +169,15 @@ impl Parameters {
 
     /// Replaces all values; the slice is as long as [`Parameters::values`].
     pub fn set_values(&mut self, values: &[f32]) {
+        self.changed();
         memory::values_mut(&mut self.flat).copy_from_slice(values);
     }
 
     /// The gradients of a scalar with respect to these parameters. The graph is used up.
     pub fn gradients(&self, loss: &Tensor, ids: &[ParamId]) -> Gradients {
-        let inputs: Vec<&Tensor> = ids.iter().map(|id| self.tensor(*id)).collect();
+        let inputs: Vec<&Tensor> = ids.iter().map(|id| self.weight(*id)).collect();
         let gradients = Tensor::run_backward(&[loss], &inputs, false, false);
-        gradients.into_iter().map(|g| if g.defined() { Some(g.contiguous()) } else { None }).collect()
+        let dense = |g: Tensor| g.defined().then(|| g.to_kind(Kind::Float).contiguous());
+        gradients.into_iter().map(dense).collect()
     }
 }

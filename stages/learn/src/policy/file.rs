@@ -6,7 +6,8 @@ use dril_stage_api::StageError;
 use serde::{Deserialize, Serialize};
 
 use super::{Architecture, Policy};
-use crate::net::weights;
+use crate::net::{Observation, weights};
+use crate::normalize::ObservationStatistics;
 
 /// What stands in the file's metadata.
 #[derive(Serialize, Deserialize)]
@@ -15,6 +16,9 @@ struct About {
     /// Tells policies from ensembles, and this layout from later ones.
     format: String,
     architecture: Architecture,
+    /// What observations are scaled by; left out where they are not.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    statistics: Option<ObservationStatistics>,
 }
 
 const FORMAT: &str = "policy-v1";
@@ -25,7 +29,8 @@ impl Policy {
     /// # Errors
     /// None that is known of.
     pub fn to_bytes(&self) -> Result<Vec<u8>, StageError> {
-        let about = About { format: FORMAT.to_owned(), architecture: self.architecture() };
+        let (architecture, statistics) = (self.architecture(), self.statistics.clone());
+        let about = About { format: FORMAT.to_owned(), architecture, statistics };
         weights::to_bytes(&about, &self.params)
     }
 
@@ -50,6 +55,15 @@ impl Policy {
         }
         let mut policy = Self::build(about.architecture, None)?;
         file.fill(port, path, &mut policy.params)?;
+        let fits = |statistics: &ObservationStatistics| {
+            let seen = Observation::Vector { len: statistics.len() };
+            statistics.is_sound() && seen == about.architecture.observation
+        };
+        if about.statistics.as_ref().is_some_and(|statistics| !fits(statistics)) {
+            let message = "its observation statistics do not fit its observations; train it again";
+            return Err(StageError::input(port, path, message));
+        }
+        policy.statistics = about.statistics;
         Ok(policy)
     }
 }

@@ -6,6 +6,7 @@
 //! other; actions are clipped only where they are handed to the environment.
 
 pub mod beta;
+pub mod categorical;
 mod file;
 pub mod gaussian;
 mod rows;
@@ -14,16 +15,27 @@ use dril_stage_api::{StageError, StreamRng};
 use serde::{Deserialize, Serialize};
 use tch::Tensor;
 
+use crate::imitation::action_loss;
 use crate::net::{Builder, Init, Network, Observation, ParamId, Parameters, Trunk, takes};
+use crate::normalize::ObservationStatistics;
+use crate::spaces::Actions;
 
 pub use dril_kinds::PolicyFamily;
 pub use rows::Rows;
 
-/// The action of a sample, not clipped: the Gaussian's sample itself, 2x − 1 for the Beta.
+/// The action of a sample, not clipped: the Gaussian's sample itself, 2x − 1 for the Beta, a choice's number.
 pub fn to_action(family: PolicyFamily, sample: f32) -> f32 {
     match family {
-        PolicyFamily::Gaussian => sample,
+        PolicyFamily::Gaussian | PolicyFamily::Categorical => sample,
         PolicyFamily::Beta => 2.0 * sample - 1.0,
+    }
+}
+
+/// The action as an environment takes it: numbers within [-1, 1], or a choice as it is.
+pub fn to_environment(family: PolicyFamily, action: f32) -> f32 {
+    match family {
+        PolicyFamily::Gaussian | PolicyFamily::Beta => action.clamp(-1.0, 1.0),
+        PolicyFamily::Categorical => action,
     }
 }
 
@@ -37,14 +49,33 @@ pub struct Architecture {
     pub family: PolicyFamily,
     /// The input.
     pub observation: Observation,
-    /// How many action dimensions there are.
+    /// How many action dimensions there are, or choices.
     pub actions: usize,
+}
+
+impl Architecture {
+    /// What its actions are.
+    pub fn gives(&self) -> Actions {
+        match self.family {
+            PolicyFamily::Gaussian | PolicyFamily::Beta => Actions::Numbers(self.actions),
+            PolicyFamily::Categorical => Actions::Choices(self.actions),
+        }
+    }
+
+    /// How many numbers an action has: one for a choice.
+    pub fn action_len(&self) -> usize {
+        match self.gives() {
+            Actions::Numbers(count) => count,
+            Actions::Choices(_) => 1,
+        }
+    }
 }
 
 #[derive(Clone, Debug, PartialEq)]
 enum Head {
     Gaussian { mean: crate::net::Sequential, log_std: ParamId },
     Beta { alpha: crate::net::Sequential, beta: crate::net::Sequential },
+    Categorical { logits: crate::net::Sequential },
 }
 
 /// An agent that can act and learn.
@@ -55,6 +86,8 @@ pub struct Policy {
     head: Head,
     /// The weights of actor and critic.
     pub params: Parameters,
+    /// What observation vectors are scaled by before the network sees them; none where they are shown as they are.
+    pub statistics: Option<ObservationStatistics>,
 }
 
 /// What a policy says about a batch of observations.
@@ -83,6 +116,11 @@ pub enum Distribution {
         /// Second shape parameters, more than 1.
         beta: Tensor,
     },
+    /// One of several choices.
+    Categorical {
+        /// Logarithms of the probabilities, up to a constant, [batch, choices].
+        logits: Tensor,
+    },
 }
 
 impl Distribution {
@@ -92,6 +130,7 @@ impl Distribution {
         match self {
             Self::Gaussian { mean, log_std } => gaussian::log_prob(mean, log_std, samples),
             Self::Beta { alpha, beta } => beta::log_prob(alpha, beta, samples),
+            Self::Categorical { logits } => categorical::log_prob(logits, samples),
         }
     }
 
@@ -100,14 +139,26 @@ impl Distribution {
         match self {
             Self::Gaussian { mean, log_std } => gaussian::entropy(mean, log_std),
             Self::Beta { alpha, beta } => beta::entropy(alpha, beta),
+            Self::Categorical { logits } => categorical::entropy(logits),
         }
     }
 
-    /// The mean action [batch, actions], not clipped: what deterministic acting does and behaviour cloning fits.
+    /// What behaviour cloning lowers: the mean squared error of the mean action (see [`action_loss`]), or the cross
+    /// entropy of the choice; a scalar. `demonstrated` is [batch, numbers in an action].
+    pub fn cloning_loss(&self, demonstrated: &Tensor) -> Tensor {
+        match self {
+            Self::Gaussian { .. } | Self::Beta { .. } => action_loss(&self.mean_action(), demonstrated),
+            Self::Categorical { logits } => categorical::cross_entropy(logits, demonstrated),
+        }
+    }
+
+    /// The mean action [batch, actions], not clipped: what deterministic acting does and behaviour cloning fits. Of
+    /// choices the likeliest, [batch, 1].
     pub fn mean_action(&self) -> Tensor {
         match self {
             Self::Gaussian { mean, .. } => mean.shallow_clone(),
             Self::Beta { alpha, beta } => beta::mean(alpha, beta) * 2.0 - 1.0,
+            Self::Categorical { logits } => categorical::likeliest(logits),
         }
     }
 
@@ -116,6 +167,7 @@ impl Distribution {
         match self {
             Self::Gaussian { mean, log_std } => Rows::gaussian(mean, log_std),
             Self::Beta { alpha, beta } => Rows::beta(alpha, beta),
+            Self::Categorical { logits } => Rows::categorical(logits),
         }
     }
 }
@@ -140,7 +192,7 @@ impl Policy {
             Some(stream) => build.finish(stream),
             None => build.finish_blank(),
         };
-        Ok(Self { architecture, trunk, head, params })
+        Ok(Self { architecture, trunk, head, params, statistics: None })
     }
 
     /// What determines the layout of its parameters.
@@ -174,7 +226,7 @@ fn check(architecture: Architecture) -> Result<(), StageError> {
     let Architecture { network, observation, actions, .. } = architecture;
     if !takes(network, observation) {
         let (seen, mend) = match observation {
-            Observation::Images { .. } => ("images", "`expert-cnn` or `dril-cnn`"),
+            Observation::Images { .. } => ("images", "`expert-cnn`, `dril-cnn` or `atari-cnn`"),
             Observation::Vector { .. } => ("a vector", "`mlp`"),
         };
         let message = format!(
@@ -200,6 +252,7 @@ fn name(network: Network) -> &'static str {
     match network {
         Network::ExpertCnn => "expert-cnn",
         Network::DrilCnn => "dril-cnn",
+        Network::AtariCnn => "atari-cnn",
         Network::Mlp => "mlp",
     }
 }
@@ -207,21 +260,25 @@ fn name(network: Network) -> &'static str {
 impl Head {
     fn build(build: &mut Builder, family: PolicyFamily, features: usize, actions: usize) -> Self {
         use crate::net::{Activation, LayerInit, Sequential};
-        let mut linear = |name: &str| {
+        let mut linear = |name: &str, gain: f32| {
             let mut layers = Sequential::default();
-            let init = LayerInit::Orthogonal(1.0);
+            let init = LayerInit::Orthogonal(gain);
             build.linear(&mut layers, name, (features, actions), init, Activation::Linear);
             layers
         };
         match family {
             PolicyFamily::Gaussian => {
-                let mean = linear("head.mean");
+                let mean = linear("head.mean", 1.0);
                 Self::Gaussian {
                     mean,
                     log_std: build.param("head.log_std", &[actions as i64], Init::Constant(0.0)),
                 }
             }
-            PolicyFamily::Beta => Self::Beta { alpha: linear("head.alpha"), beta: linear("head.beta") },
+            PolicyFamily::Beta => {
+                Self::Beta { alpha: linear("head.alpha", 1.0), beta: linear("head.beta", 1.0) }
+            }
+            // Almost equal probabilities at the start.
+            PolicyFamily::Categorical => Self::Categorical { logits: linear("head.logits", 0.01) },
         }
     }
 
@@ -235,6 +292,9 @@ impl Head {
                 alpha: beta::shape(&alpha.forward(params, features)),
                 beta: beta::shape(&beta.forward(params, features)),
             },
+            Self::Categorical { logits } => {
+                Distribution::Categorical { logits: logits.forward(params, features) }
+            }
         }
     }
 }

@@ -1,6 +1,7 @@
 //! Drawing samples: the distribution's parameters as plain numbers, and the stage's own streams.
 
 use dril_stage_api::StreamRng;
+use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use tch::{Kind, Tensor};
 
@@ -12,9 +13,9 @@ use crate::fast::memory;
 pub struct Rows {
     family: PolicyFamily,
     actions: usize,
-    /// Means, or α.
+    /// Means, or α, or the probabilities of all choices.
     first: Vec<f32>,
-    /// Standard deviations, or β.
+    /// Standard deviations, or β; empty for choices.
     second: Vec<f32>,
 }
 
@@ -27,19 +28,27 @@ impl Rows {
         Self::new(PolicyFamily::Beta, alpha, beta)
     }
 
+    pub(super) fn categorical(logits: &Tensor) -> Self {
+        let probabilities = logits.softmax(-1, Kind::Float);
+        let (choices, first) = (logits.size()[1] as usize, plain(&probabilities));
+        Self { family: PolicyFamily::Categorical, actions: choices, first, second: Vec::new() }
+    }
+
     fn new(family: PolicyFamily, first: &Tensor, second: &Tensor) -> Self {
-        let plain =
-            |tensor: &Tensor| memory::values(&tensor.detach().to_kind(Kind::Float).contiguous()).to_vec();
         Self { family, actions: first.size()[1] as usize, first: plain(first), second: plain(second) }
     }
 
     /// Draws one sample for each dimension of a row into `sample`.
     pub fn sample(&self, row: usize, stream: &mut StreamRng, sample: &mut [f32]) {
         let at = row * self.actions;
+        if self.family == PolicyFamily::Categorical {
+            sample[0] = draw_choice(&self.first[at..at + self.actions], stream);
+            return;
+        }
         for (index, sample) in (at..at + self.actions).zip(sample) {
             let (first, second) = (f64::from(self.first[index]), f64::from(self.second[index]));
             *sample = match self.family {
-                PolicyFamily::Gaussian => {
+                PolicyFamily::Gaussian | PolicyFamily::Categorical => {
                     let normal: f64 = StandardNormal.sample(stream);
                     (first + second * normal) as f32
                 }
@@ -48,17 +57,48 @@ impl Rows {
         }
     }
 
-    /// The mean of each dimension of a row, in the sample's scale, into `sample`.
+    /// The mean of each dimension of a row, in the sample's scale, into `sample`; of choices the likeliest.
     pub fn mean(&self, row: usize, sample: &mut [f32]) {
         let at = row * self.actions;
+        if self.family == PolicyFamily::Categorical {
+            sample[0] = likeliest(&self.first[at..at + self.actions]);
+            return;
+        }
         for (index, sample) in (at..at + self.actions).zip(sample) {
             let (first, second) = (self.first[index], self.second[index]);
             *sample = match self.family {
-                PolicyFamily::Gaussian => first,
+                PolicyFamily::Gaussian | PolicyFamily::Categorical => first,
                 PolicyFamily::Beta => (first / (first + second)).clamp(EDGE, 1.0 - EDGE),
             };
         }
     }
+}
+
+fn plain(tensor: &Tensor) -> Vec<f32> {
+    memory::values(&tensor.detach().to_kind(Kind::Float).contiguous()).to_vec()
+}
+
+/// The choice in whose part of the line from 0 to 1 a uniform number falls. Probabilities that are not numbers give the
+/// last one: the update that follows reports them.
+fn draw_choice(probabilities: &[f32], stream: &mut StreamRng) -> f32 {
+    let drawn: f64 = stream.random();
+    let mut sum = 0.0;
+    let found = probabilities.iter().position(|probability| {
+        sum += f64::from(*probability);
+        drawn < sum
+    });
+    found.unwrap_or(probabilities.len().saturating_sub(1)) as f32
+}
+
+/// The first of the highest.
+fn likeliest(probabilities: &[f32]) -> f32 {
+    let mut best = 0;
+    for (choice, probability) in probabilities.iter().enumerate() {
+        if *probability > probabilities[best] {
+            best = choice;
+        }
+    }
+    best as f32
 }
 
 /// A sample within the open interval. Shapes that are not numbers (a network that has diverged) give one too: the
@@ -97,6 +137,22 @@ mod tests {
         let (mean, std) = moments(&rows);
         let wanted = (a * b / ((a + b).powi(2) * (a + b + 1.0))).sqrt();
         assert!((mean - a / (a + b)).abs() < 0.005 && (std - wanted).abs() < 0.005, "{mean} {std}");
+    }
+
+    #[test]
+    fn choices_come_as_often_as_their_probabilities_say() {
+        let logits = Tensor::from_slice(&[0.0_f32, 3.0_f32.ln(), 0.0]).view([1, 3]);
+        let rows = Rows::categorical(&logits);
+        let (mut stream, mut sample, mut counts) = (Seed(5).stream("action"), [0.0], [0; 3]);
+        for _ in 0..20_000 {
+            rows.sample(0, &mut stream, &mut sample);
+            counts[sample[0] as usize] += 1;
+        }
+        for (count, wanted) in counts.into_iter().zip([4_000, 12_000, 4_000]) {
+            assert!(i32::abs(count - wanted) < 300, "{counts:?}");
+        }
+        rows.mean(0, &mut sample);
+        assert_eq!(sample, [1.0]);
     }
 
     #[test]

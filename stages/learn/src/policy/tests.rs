@@ -98,6 +98,33 @@ fn a_network_that_does_not_fit_the_observation_is_refused_with_one_that_does() {
 }
 
 #[test]
+fn short_numbers_give_nearly_the_same_gradients_and_leave_the_weights_as_they_are() {
+    let mut policy = policy(Network::DrilCnn, PolicyFamily::Beta);
+    let before = policy.params.values().to_vec();
+    let seen = Tensor::from_slice(&(0..4 * 64 * 441).map(|at| (at * at % 253) as f32).collect::<Vec<_>>());
+    let seen = seen.view([4, 64, 21, 21]);
+    let ids: Vec<_> = policy.params.ids().collect();
+    let gradients = |policy: &Policy| -> Vec<f32> {
+        let forward = policy.forward(&seen);
+        let loss = forward.distribution.mean_action().square().sum(tch::Kind::Float)
+            + forward.values.square().sum(tch::Kind::Float);
+        let gradients = policy.params.gradients(&loss, &ids);
+        gradients.iter().flatten().flat_map(|g| crate::fast::memory::values(g).to_vec()).collect()
+    };
+    let exact = gradients(&policy);
+    policy.params.set_precision(dril_kinds::Precision::Bf16);
+    let short = gradients(&policy);
+    assert_eq!(policy.params.values(), before);
+    let norm =
+        |values: &mut dyn Iterator<Item = f32>| values.map(|v| f64::from(v).powi(2)).sum::<f64>().sqrt();
+    let apart = norm(&mut exact.iter().zip(&short).map(|(a, b)| a - b)) / norm(&mut exact.iter().copied());
+    assert!(apart > 0.0 && apart < 0.05, "{apart}");
+    // A change of the weights is seen by the short copy.
+    policy.params.set_values(&before.iter().map(|v| 0.5 * v).collect::<Vec<_>>());
+    assert_ne!(gradients(&policy), short);
+}
+
+#[test]
 fn one_pass_gives_the_same_as_actor_and_critic_apart() {
     let policy = policy(Network::ExpertCnn, PolicyFamily::Gaussian);
     let seen = Tensor::from_slice(&(0..2 * 64 * 441).map(|at| (at % 256) as f32).collect::<Vec<_>>());
