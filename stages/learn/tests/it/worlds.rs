@@ -21,9 +21,8 @@ fn env() -> Value {
     json!({ "car-racing": { "time_limit": 30 } })
 }
 
-/// A bench that saves often, but not all the time.
 fn bench<S: Stage>(params: &Value) -> Bench {
-    Bench::new::<S>(params, 5).unwrap().checkpoint_seconds(0.05)
+    Bench::new::<S>(params, 5).unwrap()
 }
 
 /// Two numbers seen, two done: little to compute, much to save.
