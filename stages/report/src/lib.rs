@@ -4,12 +4,14 @@
 //! |---|---|---|
 //! | [`Table`] | evaluations, the thesis's values | their table as CSV and as Markdown |
 //! | [`Leaderboard`] | named evaluations, published results | one list of both |
+//! | [`Compare`] | evaluations on the same tracks | side by side, with ratio and paired difference |
 //! | [`Select`] | candidates and their evaluations | the best candidate, and the ranking |
 //!
-//! All three are functions of the bytes and labels of their inputs alone: no random number, no clock, and no order but
+//! All are functions of the bytes and labels of their inputs alone: no random number, no clock, and no order but
 //! the one in which the engine hands the inputs over (the order of the matrix).
 
 mod caption;
+mod compare;
 mod leaderboard;
 mod markdown;
 mod number;
@@ -23,9 +25,11 @@ mod table;
 
 use dril_stage_api::Kind;
 
+pub use compare::{Compare, CompareParams};
 pub use leaderboard::{Leaderboard, LeaderboardParams};
 pub use select::{By, Select, SelectParams};
 pub use table::{Table, TableParams};
 
 /// The stage kinds of this package.
-pub const KINDS: [Kind; 3] = [Kind::of::<Table>(), Kind::of::<Leaderboard>(), Kind::of::<Select>()];
+pub const KINDS: [Kind; 4] =
+    [Kind::of::<Table>(), Kind::of::<Leaderboard>(), Kind::of::<Compare>(), Kind::of::<Select>()];

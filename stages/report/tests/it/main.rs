@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test's own functions may fail the test")]
 
+mod compare;
 mod fakes;
 mod leaderboard;
 mod select;
@@ -14,6 +15,6 @@ use dril_stage_api::Registry;
 fn the_kinds_have_names_of_their_own_and_draw_no_random_numbers() {
     let registry = Registry::new(KINDS).unwrap();
     let names: Vec<&str> = registry.iter().map(dril_stage_api::Kind::name).collect();
-    assert_eq!(names, ["leaderboard", "select", "table"]);
+    assert_eq!(names, ["compare", "leaderboard", "select", "table"]);
     assert!(registry.iter().all(|kind| !kind.seeded() && kind.worker().is_none()));
 }
