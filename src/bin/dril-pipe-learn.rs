@@ -3,9 +3,15 @@
 
 use std::process::ExitCode;
 
-use dril_pipe::cli;
+use dril_envs::gymnasium::{PythonHome, keep_python_in};
+use dril_pipe::cli::{self, Extra};
 use dril_stage_api::{Registry, RegistryError};
 
+const SERVICES: [Extra; 1] =
+    [Extra { name: "__replay", about: "a film of an episode", run: dril_learn::replay::command }];
+
 fn main() -> Result<ExitCode, RegistryError> {
-    Ok(cli::run_worker(&Registry::new(dril_learn::KINDS)?, std::env::args_os()))
+    let (folder, python) = cli::python_folders();
+    keep_python_in(PythonHome { folder, python });
+    Ok(cli::run_worker(&Registry::new(dril_learn::KINDS)?, &SERVICES, std::env::args_os()))
 }

@@ -26,6 +26,11 @@ Exit codes:
   6    the time of `run --for` was over; the next run goes on from there
   130  stopped by SIGINT or SIGTERM; the next run goes on from there";
 
+const REPLAY_EXAMPLES: &str = "\
+Examples:
+  dril-pipe replay pipelines/thesis.yaml:dril.peak[policy=beta] --profile desk --seed 7 --out lap.gif
+  dril-pipe replay policy.safetensors --env '{ gymnasium: CarRacing-v3 }' --out lap.apng";
+
 /// Runs pipelines of experiments: a YAML file of typed stages, hashed, cached, and run where something changed
 #[derive(Debug, Parser)]
 #[command(name = "dril-pipe", bin_name = "dril-pipe", version, after_help = EXIT_CODES, disable_help_subcommand = true)]
@@ -60,6 +65,9 @@ pub(super) enum Command {
     Graph(GraphArgs),
     /// List the stage kinds, or one kind's parameters, inputs and outputs
     Kinds(KindsArgs),
+    /// Write a film of an episode that a policy plays
+    #[command(after_help = REPLAY_EXAMPLES)]
+    Replay(ReplayArgs),
 }
 
 impl Command {
@@ -174,6 +182,64 @@ pub(super) struct GraphArgs {
     /// One node for each stage instance
     #[arg(long)]
     pub instances: bool,
+}
+
+#[derive(Debug, Args)]
+pub(super) struct ReplayArgs {
+    /// A policy's file, or a finished stage of a pipeline, as in `pipelines/thesis.yaml:dril.peak[policy=beta]`
+    pub policy: String,
+    /// The seed of the track or level, and of a policy that acts at random
+    #[arg(long, value_name = "N", default_value_t = 2_000_000)]
+    pub seed: u64,
+    /// The file to write: a film (`.gif`, `.apng`), or six moments side by side (`.png`)
+    #[arg(short, long, value_name = "FILE")]
+    pub out: PathBuf,
+    /// The environment, as in a pipeline file [default: that of the stage, or the one that fits the policy]
+    #[arg(long, value_name = "YAML")]
+    pub env: Option<String>,
+    /// How the policy acts
+    #[arg(long, value_enum, default_value_t = ActingMode::Stochastic)]
+    pub mode: ActingMode,
+    /// Width of a picture in pixels
+    #[arg(long, value_name = "PIXELS", default_value_t = 480)]
+    pub width: u32,
+    /// Draw every Nth step
+    #[arg(long, value_name = "N", default_value_t = 2)]
+    pub every: u32,
+    /// How much faster than life the film runs
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    pub speed: f64,
+    /// The pipeline's profile; without it, the first one of the file
+    #[arg(short, long, value_name = "NAME")]
+    profile: Option<String>,
+    /// Change a value of the pipeline; may be given several times
+    #[arg(short, long, value_name = "PATH=VALUE")]
+    set: Vec<String>,
+    #[command(flatten)]
+    pub store: StoreArgs,
+}
+
+impl ReplayArgs {
+    /// The pipeline in `file` with what was chosen.
+    pub fn pipeline(&self, file: &str) -> PipelineArgs {
+        PipelineArgs { file: file.into(), profile: self.profile.clone(), set: self.set.clone() }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(super) enum ActingMode {
+    Deterministic,
+    Stochastic,
+}
+
+impl ActingMode {
+    /// As a pipeline file has it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Deterministic => "deterministic",
+            Self::Stochastic => "stochastic",
+        }
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]

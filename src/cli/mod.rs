@@ -14,6 +14,8 @@ mod lockfile;
 mod names;
 mod pipeline;
 mod plan;
+mod python;
+mod replay;
 mod report;
 mod results;
 mod run;
@@ -32,6 +34,7 @@ use dril_stage_api::Registry;
 use crate::error::exit_codes;
 use crate::exec;
 use args::{Command, Request};
+pub use python::python_folders;
 use terminal::{Terminal, print, print_error};
 
 /// The argument that makes this program run one stage, for the engine that started it.
@@ -75,12 +78,19 @@ pub fn run_with(registry: Registry, extras: &[Extra], args: impl IntoIterator<It
     }
 }
 
-/// Runs a program that only runs stages for an engine: `args` is `PROGRAM __stage JOB`.
-pub fn run_worker(registry: &Registry, args: impl IntoIterator<Item = OsString>) -> ExitCode {
+/// Runs a program that works for an engine: `args` is `PROGRAM __stage JOB`, or the program, the name of one of the
+/// services and its arguments.
+pub fn run_worker(
+    registry: &Registry,
+    services: &[Extra],
+    args: impl IntoIterator<Item = OsString>,
+) -> ExitCode {
     let args: Vec<OsString> = args.into_iter().collect();
-    match stage_job(&args) {
-        Some(job) => exec::run_stage(Path::new(job), registry),
-        None => {
+    let service = services.iter().find(|service| args.get(1).is_some_and(|name| name == service.name));
+    match (stage_job(&args), service) {
+        (Some(job), _) => exec::run_stage(Path::new(job), registry),
+        (None, Some(service)) => extra(service, &args[2..]),
+        (None, None) => {
             print_error(
                 "error: this program runs single stages for `dril-pipe`\n  = hint: run `dril-pipe --help`\n",
             );
@@ -109,6 +119,7 @@ fn own(command: &Command, registry: &Registry) -> ExitCode {
         Command::Cache(args) => cache::main(args, registry),
         Command::Graph(args) => graph::main(args, registry),
         Command::Kinds(args) => kinds::main(args, registry),
+        Command::Replay(args) => replay::main(args, registry),
     };
     done.unwrap_or_else(|error| {
         if command.speaks_json() {

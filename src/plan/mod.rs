@@ -19,6 +19,7 @@ pub use explain::compare;
 pub use key::{NoKey, Work, WorkInput, key_of_record};
 pub(crate) use lookup::{Cached, digest_of, key_of, look_up, record_inputs};
 pub use order::Order;
+pub(crate) use order::feeding;
 pub use outside::OutsideFile;
 use serde::Serialize;
 
@@ -220,7 +221,7 @@ impl Planner<'_> {
         let key = key_of(stage, done, self.files)
             .map_err(|source| PlanError::Params { stage: stage.id.as_ref().to_owned(), source })?;
         let Some(key) = key else {
-            let feeding = order::feeding(self.graph, index).filter_map(|from| roots[from.index()].as_ref());
+            let feeding = feeding(self.graph, index).filter_map(|from| roots[from.index()].as_ref());
             let why = why(self.graph, stage, done, self.files, self.store, self.history)?;
             return Ok(Verdict::DependsOn { stages: union(feeding), why });
         };

@@ -13,7 +13,15 @@ fn shown(sealed: &Sealed, args: &str) -> String {
 #[test]
 fn help_of_the_program_and_of_every_command() {
     let sealed = Sealed::new();
-    let pages = ["--help", "run --help", "plan --help", "explain --help", "graph --help", "kinds --help"];
+    let pages = [
+        "--help",
+        "run --help",
+        "plan --help",
+        "explain --help",
+        "graph --help",
+        "kinds --help",
+        "replay --help",
+    ];
     assert_snapshot!(pages.map(|args| shown(&sealed, args)).join("\n"));
 }
 

@@ -141,3 +141,26 @@ fn the_example_that_opens_the_reference_resolves() {
 fn one_glance_shows_the_experiment() {
     assert!(text("thesis.yaml").lines().count() <= 165);
 }
+
+#[test]
+fn the_transfer_scores_the_same_tracks_by_the_same_rules_in_both_places() {
+    for (profile, limit) in [("full", 1000), ("smoke", 60)] {
+        let graph = graph_of("transfer.yaml", profile, &[]);
+        let params = |id: &str| {
+            let stage = graph.stages.node_weights().find(|stage| &*stage.id == id);
+            stage.unwrap_or_else(|| panic!("no {id} at {profile}")).params.clone()
+        };
+        for mode in ["deterministic", "stochastic"] {
+            let mut home = params(&format!("evaluate[mode={mode}, env=home]"));
+            let mut abroad = params(&format!("evaluate[mode={mode}, env=gymnasium]"));
+            let [ours, theirs] = [&mut home, &mut abroad].map(|params| params["env"].take());
+            assert_eq!(home, abroad, "all but the environment");
+            assert_eq!(ours, serde_json::json!({ "car-racing": { "version": "v3", "time_limit": limit } }));
+            let theirs = &theirs["gymnasium"];
+            assert_eq!((&theirs["id"], &theirs["tracks"]), (&"CarRacing-v3".into(), &"car-racing".into()));
+            assert_eq!(theirs["time_limit"].as_u64().unwrap_or(1000), limit);
+            // What `version: v3` has by itself.
+            assert_eq!(theirs["kwargs"]["lap_complete_percent"], 0.95);
+        }
+    }
+}

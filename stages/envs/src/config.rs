@@ -4,6 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::car_racing::CarRacing;
+use crate::gymnasium::{self, GymnasiumConfig};
 use crate::{ActionSpace, Env, EnvError, ObservationSpace};
 
 /// Which environment, and its settings.
@@ -12,6 +13,8 @@ use crate::{ActionSpace, Env, EnvError, ObservationSpace};
 pub enum EnvConfig {
     /// The car on a random track, seen from above.
     CarRacing(CarRacingConfig),
+    /// An environment of Gymnasium or the Arcade Learning Environment, played by Python.
+    Gymnasium(GymnasiumConfig),
 }
 
 impl Default for EnvConfig {
@@ -60,43 +63,91 @@ impl CarRacingConfig {
             CarRacingVersion::V3 => 0.95,
         })
     }
-}
 
-impl EnvConfig {
-    /// The environment, before its first episode.
-    ///
-    /// # Errors
-    /// The first problem that [`EnvConfig::check`] finds.
-    pub fn build(&self) -> Result<Box<dyn Env>, EnvError> {
-        if let Some((field, message)) = self.check().into_iter().next() {
-            return Err(EnvError::Config { field, message });
-        }
-        match self {
-            Self::CarRacing(config) => Ok(Box::new(CarRacing::new(config.clone()))),
-        }
-    }
-
-    /// What the environment shows and takes, without building it.
-    pub fn spaces(&self) -> (ObservationSpace, ActionSpace) {
-        match self {
-            Self::CarRacing(_) => CarRacing::SPACES,
-        }
-    }
-
-    /// Every field out of range: its dotted path, and what was seen and expected.
-    pub fn check(&self) -> Vec<(String, String)> {
-        let Self::CarRacing(config) = self;
+    fn check(&self) -> Vec<(String, String)> {
         let mut found = Vec::new();
-        if config.time_limit == 0 {
+        if self.time_limit == 0 {
             found.push(("car-racing.time_limit".into(), "0 steps, expected at least 1".into()));
         }
-        if let Some(share) = config.lap_complete_percent
+        if let Some(share) = self.lap_complete_percent
             && !(0.0..=1.0).contains(&share)
         {
             let message = format!("{share}, expected a number from 0 to 1 (0.95 means 95 %)");
             found.push(("car-racing.lap_complete_percent".into(), message));
         }
         found
+    }
+}
+
+impl EnvConfig {
+    /// The environment, before its first episode.
+    ///
+    /// # Errors
+    /// As [`EnvConfig::build_several`].
+    pub fn build(&self) -> Result<Box<dyn Env>, EnvError> {
+        self.build_several(1, 1)?.pop().ok_or(EnvError::NotStarted)
+    }
+
+    /// `count` environments, before their first episodes. Those that other processes play share `workers` of these.
+    ///
+    /// # Errors
+    /// The first problem that [`EnvConfig::check`] finds, or what a process needs is missing.
+    pub fn build_several(&self, count: usize, workers: usize) -> Result<Vec<Box<dyn Env>>, EnvError> {
+        if let Some((field, message)) = self.check().into_iter().next() {
+            return Err(EnvError::Config { field, message });
+        }
+        match self {
+            Self::CarRacing(config) => {
+                let env = |_| Box::new(CarRacing::new(config.clone())) as Box<dyn Env>;
+                Ok((0..count).map(env).collect())
+            }
+            Self::Gymnasium(config) => gymnasium::build(config, count, workers),
+        }
+    }
+
+    /// What the environment shows and takes, without building it. Some ids of Gymnasium have to be looked up, which
+    /// takes a Python.
+    ///
+    /// # Errors
+    /// There is no such Python, or no such id.
+    pub fn spaces(&self) -> Result<(ObservationSpace, ActionSpace), EnvError> {
+        match self {
+            Self::CarRacing(_) => Ok(CarRacing::SPACES),
+            Self::Gymnasium(config) => gymnasium::spaces(config),
+        }
+    }
+
+    /// What the values or choices of an action do, for people; may be fewer than there are.
+    pub fn action_labels(&self) -> Vec<String> {
+        let labels: &[&str] = match self {
+            Self::CarRacing(_) => &["steer", "brake | gas"],
+            Self::Gymnasium(config) => config.action_labels(),
+        };
+        labels.iter().map(|label| (*label).to_owned()).collect()
+    }
+
+    /// Steps in a second of the environment's own time.
+    pub fn steps_per_second(&self) -> f64 {
+        match self {
+            Self::CarRacing(_) => 50.0,
+            Self::Gymnasium(config) => config.steps_per_second(),
+        }
+    }
+
+    /// Width over height of a picture for people.
+    pub fn picture_ratio(&self) -> f64 {
+        match self {
+            Self::CarRacing(_) => 1.25,
+            Self::Gymnasium(config) => config.picture_ratio(),
+        }
+    }
+
+    /// Every field out of range: its dotted path, and what was seen and expected.
+    pub fn check(&self) -> Vec<(String, String)> {
+        match self {
+            Self::CarRacing(config) => config.check(),
+            Self::Gymnasium(config) => config.check(),
+        }
     }
 }
 

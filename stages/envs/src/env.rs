@@ -167,6 +167,15 @@ pub trait Env: Send {
     /// Wrong length, NaN, no episode, or the episode is over.
     fn step(&mut self, action: &[f32]) -> Result<Step, EnvError>;
 
+    /// Begins the step that the next call of [`Env::step`], with the same action, completes. An environment in another
+    /// process works meanwhile; others have nothing to do before the step itself.
+    ///
+    /// # Errors
+    /// As [`Env::step`].
+    fn begin(&mut self, _action: &[f32]) -> Result<(), EnvError> {
+        Ok(())
+    }
+
     /// The newest observation.
     fn frame(&self) -> Frame<'_>;
 

@@ -1,5 +1,7 @@
 //! How an environment refuses: every error says what was seen and what was expected.
 
+use crate::gymnasium::GymnasiumError;
+
 /// Why an environment could not be built, reset, stepped, drawn or restored.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
@@ -25,6 +27,14 @@ pub enum EnvError {
     ActionNan {
         /// Index of the value.
         dimension: usize,
+    },
+    /// A choice that there is not.
+    #[error("the action is {chosen}, expected a whole number from 0 to {}", .choices - 1)]
+    Choice {
+        /// The action given.
+        chosen: f32,
+        /// How many there are to choose from.
+        choices: usize,
     },
     /// A step before the first reset.
     #[error("`step` before `reset`: start an episode first")]
@@ -55,6 +65,9 @@ pub enum EnvError {
         /// The system's answer.
         message: String,
     },
+    /// The bridge to Gymnasium.
+    #[error(transparent)]
+    Gymnasium(#[from] GymnasiumError),
     /// One of several environments failed.
     #[error("environment {index}: {source}")]
     Worker {

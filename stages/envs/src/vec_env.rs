@@ -80,8 +80,9 @@ impl VecEnv {
                 });
             }
         }
-        let envs = (0..count).map(|_| config.build()).collect::<Result<Vec<_>, EnvError>>()?;
-        Self::of(envs, config.spaces(), threads)
+        let envs = config.build_several(count, threads)?;
+        let spaces = (envs[0].observation_space(), envs[0].action_space());
+        Self::of(envs, spaces, threads)
     }
 
     /// These environments, which all have these spaces, stepped by `threads` threads.
@@ -143,6 +144,11 @@ impl VecEnv {
         let expected = dims * self.slots.len();
         if actions.len() != expected {
             return Err(EnvError::ActionLength { seen: actions.len(), expected });
+        }
+        // Environments in other processes all work at once, whatever the threads here.
+        for (index, slot) in self.slots.iter_mut().enumerate() {
+            let begun = slot.env.begin(&actions[index * dims..(index + 1) * dims]);
+            begun.map_err(|source| EnvError::Worker { index, source: Box::new(source) })?;
         }
         self.for_each(|slot, (index, step)| slot.step(&actions[index * dims..(index + 1) * dims], step))?;
         let ended = |step: &VecStep| step.outcome.ended();

@@ -127,8 +127,8 @@ impl<'a> Player<'a> {
     /// The environment cannot be built, or shows or takes something else than the policy knows.
     pub fn new(policy: &'a Policy, env: &EnvConfig, play: Play, seed: Seed) -> Result<Self, StageError> {
         crate::spaces::check(policy, env)?;
-        let envs = (0..WIDTH).map(|_| env.build()).collect::<Result<Vec<_>, EnvError>>();
-        Ok(Self::with(policy, envs.map_err(StageError::failed)?, play, seed))
+        let envs = env.build_several(WIDTH, 1).map_err(StageError::failed)?;
+        Ok(Self::with(policy, envs, play, seed))
     }
 
     /// As [`Player::new`], with [`WIDTH`] environments that are there already.
@@ -158,10 +158,26 @@ impl<'a> Player<'a> {
         }
         let actions = self.actions();
         let mut ended = Vec::new();
-        for (row, action) in actions.chunks_exact(self.policy.architecture().action_len()).enumerate() {
+        let dims = self.policy.architecture().action_len();
+        for (row, action) in self.rows.iter_mut().zip(actions.chunks_exact(dims)) {
+            if row.episode.is_some() {
+                row.env.begin(action)?;
+            }
+        }
+        for (row, action) in actions.chunks_exact(dims).enumerate() {
             ended.extend(self.act(row, action)?);
         }
         Ok(Some(ended))
+    }
+
+    /// The episode that runs in a row, as far as it has been played.
+    pub fn playing(&self, row: usize) -> Option<&Played> {
+        self.rows.get(row)?.episode.as_ref().map(|(played, _)| played)
+    }
+
+    /// The environment of a row below [`WIDTH`], to look at.
+    pub fn env(&mut self, row: usize) -> &mut dyn Env {
+        self.rows[row].env.as_mut()
     }
 
     /// Starts the row's next episode, where none is running and the list has one.

@@ -28,7 +28,7 @@ impl Stage for CollectStage {
         };
         let mut player = Player::new(&policy, &params.env, play, ctx.seed())?;
         let kept = choose(&mut player, params, ctx)?;
-        let header = header(params, &policy);
+        let header = header(params, &policy)?;
         let demonstrations = Demonstrations { header, episodes: kept.into_iter().map(episode).collect() };
         demonstrations.write(ctx.output("demonstrations")?).map_err(StageError::failed)
     }
@@ -98,11 +98,11 @@ fn enough(mut attempts: Attempts, params: &CollectParams) -> Result<Vec<Played>,
     Ok(attempts.kept)
 }
 
-fn header(params: &CollectParams, policy: &Policy) -> DemosHeader {
+fn header(params: &CollectParams, policy: &Policy) -> Result<DemosHeader, StageError> {
     let architecture = policy.architecture();
-    DemosHeader {
+    Ok(DemosHeader {
         env: params.env.clone(),
-        observation_space: params.env.spaces().0,
+        observation_space: params.env.spaces().map_err(StageError::failed)?.0,
         action_dims: architecture.action_len(),
         action_range: match architecture.family {
             PolicyFamily::Gaussian | PolicyFamily::Categorical => ActionRange::Raw,
@@ -113,7 +113,7 @@ fn header(params: &CollectParams, policy: &Policy) -> DemosHeader {
             Mode::Stochastic => "stochastic",
         }
         .to_owned(),
-    }
+    })
 }
 
 fn episode(played: Played) -> Episode {

@@ -21,7 +21,8 @@ impl Stage for DatasetStage {
         let wrong = |message: String| StageError::input(PORT, path, message);
         let demos = Demonstrations::read(path).map_err(|error| wrong(error.to_string()))?;
         let demos = first(demos, params.trajectories as usize).map_err(wrong)?;
-        if let Actions::Choices(_) = Actions::of(&demos.header.env.spaces().1)
+        let (_, space) = demos.header.env.spaces().map_err(|error| wrong(error.to_string()))?;
+        if let Actions::Choices(_) = Actions::of(&space)
             && params.actions != ActionRange::Raw
         {
             return Err(wrong("holds choices, which have no range; set `actions` to `raw`".to_owned()));

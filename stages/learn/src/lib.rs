@@ -11,6 +11,7 @@
 //! - [`imitation`]: what cloning and the ensemble share; [`pairs`]: demonstrations as they learn from them;
 //!   [`split`]: which pairs train, validate, and in which order.
 //! - [`collect`], [`dataset`], [`evaluate`]: what stands between them.
+//! - [`replay`]: an episode as a film.
 //! - [`normalize`]: running statistics that observations and rewards are scaled by.
 //! - [`checkpoint`], [`log`]: what a long training keeps and writes; [`spaces`]: from environments to networks;
 //!   [`tensorboard`]: the same for people who watch; [`made_with`]: what else a result depends on.
@@ -39,6 +40,7 @@ pub mod optim;
 pub mod pairs;
 pub mod policy;
 pub mod ppo;
+pub mod replay;
 pub mod rollout;
 pub mod spaces;
 pub mod split;

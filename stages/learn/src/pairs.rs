@@ -39,7 +39,9 @@ impl Pairs {
         if let Some(index) = index {
             return Err(wrong(format!("episode {index} has an action that is not a number")));
         }
-        if let Actions::Choices(count) = Actions::of(&demos.header.env.spaces().1) {
+        let (_, space) = demos.header.env.spaces().map_err(|error| wrong(error.to_string()))?;
+        let kind = Actions::of(&space);
+        if let Actions::Choices(count) = kind {
             let known = |action: &f32| action.fract() == 0.0 && (0.0..count as f32).contains(action);
             let odd =
                 demos.episodes.iter().flat_map(|episode| &episode.actions).find(|action| !known(action));
@@ -50,14 +52,14 @@ impl Pairs {
                 )));
             }
         }
-        Ok(Self::of(demos))
+        Ok(Self::of(demos, kind))
     }
 
     /// Takes the demonstrations over, episode by episode: their frames are in memory once.
-    fn of(demos: Demonstrations) -> Self {
+    fn of(demos: Demonstrations, kind: Actions) -> Self {
         let (steps, space) = (demos.steps(), demos.header.observation_space);
         let dims = demos.header.action_dims;
-        let kind = match Actions::of(&demos.header.env.spaces().1) {
+        let kind = match kind {
             Actions::Numbers(_) => Actions::Numbers(dims),
             choices @ Actions::Choices(_) => choices,
         };

@@ -63,23 +63,26 @@ impl std::fmt::Display for Actions {
 }
 
 /// What an agent in this environment sees and does.
-pub fn of(env: &EnvConfig) -> (Observation, Actions) {
-    let (space, action) = env.spaces();
-    (observation(&space), Actions::of(&action))
+///
+/// # Errors
+/// It has to be looked up, and cannot be.
+pub fn of(env: &EnvConfig) -> Result<(Observation, Actions), StageError> {
+    let (space, action) = env.spaces().map_err(StageError::failed)?;
+    Ok((observation(&space), Actions::of(&action)))
 }
 
 /// The architecture of an agent for this environment; `network` left out means `images` for environments that show
 /// images and [`Network::Mlp`] for the others.
 ///
 /// # Errors
-/// The family does not give the environment's actions.
+/// The family does not give the environment's actions, or as [`of`].
 pub fn architecture(
     env: &EnvConfig,
     family: PolicyFamily,
     network: Option<Network>,
     images: Network,
 ) -> Result<Architecture, StageError> {
-    let (observation, actions) = of(env);
+    let (observation, actions) = of(env)?;
     actions.check(family)?;
     let network = network.unwrap_or(match observation {
         Observation::Images { .. } => images,
@@ -94,7 +97,7 @@ pub fn architecture(
 /// It was made for another environment; the message shows both.
 pub fn check(policy: &Policy, env: &EnvConfig) -> Result<(), StageError> {
     let seen = (policy.architecture().observation, policy.architecture().gives());
-    let wanted = of(env);
+    let wanted = of(env)?;
     if seen == wanted {
         return Ok(());
     }

@@ -84,6 +84,20 @@ impl CarRacing {
             .ok_or(EnvError::NoTrack { attempts: MOST_ATTEMPTS })
     }
 
+    /// The uniform numbers in [0, 1) from which the track of a seed is made: those of the attempt that closed.
+    ///
+    /// # Errors
+    /// As [`CarRacing::track`].
+    pub fn track_draws(seed: u64) -> Result<[f64; DRAWS], EnvError> {
+        let (_, attempts) = Self::track(seed)?;
+        let mut stream = Seed(seed).stream("track");
+        let mut draws = [0.0; DRAWS];
+        for _ in 0..attempts {
+            draws = std::array::from_fn(|_| unit_interval(stream.next_u64()));
+        }
+        Ok(draws)
+    }
+
     /// The running episode.
     pub fn simulation(&self) -> Option<&Simulation> {
         self.episode.as_ref().map(|episode| &episode.simulation)

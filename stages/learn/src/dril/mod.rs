@@ -65,7 +65,7 @@ fn check(params: &DrilParams, policy: &Policy, ensemble: &Ensemble, pairs: &Pair
              that was cloned from the demonstrations (kind `bc`)",
         ));
     }
-    let (observation, actions) = spaces::of(&params.env);
+    let (observation, actions) = spaces::of(&params.env)?;
     let about = ensemble.architecture();
     for (what, seen) in [
         ("ensemble", (about.observation, about.kind())),

@@ -41,7 +41,7 @@ fn bench(params: &Value, seed: u64) -> Bench {
     fast::prepare();
     let bench = Bench::new::<DrilStage>(params, seed).unwrap();
     let folder = bench.folder().to_owned();
-    let (observation, actions) = spaces::of(&EnvConfig::default());
+    let (observation, actions) = spaces::of(&EnvConfig::default()).unwrap();
     let (network, family) = (Network::DrilCnn, PolicyFamily::Beta);
     let architecture = Architecture { network, family, observation, actions: actions.count() };
     Policy::new(architecture, &mut Seed(7).stream("init")).unwrap().save(&folder.join("policy")).unwrap();
@@ -58,7 +58,7 @@ fn bench(params: &Value, seed: u64) -> Bench {
 
 fn expert(steps: usize) -> Demonstrations {
     let env = EnvConfig::default();
-    let (observation_space, action) = env.spaces();
+    let (observation_space, action) = env.spaces().unwrap();
     let (pixels, action_dims) = (observation_space.frame_len(), action.action_len());
     let episode = Episode {
         seed: 1,

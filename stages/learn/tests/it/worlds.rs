@@ -48,7 +48,7 @@ fn with_numbers<S: Stage>(params: &Value) -> Bench {
 /// Pictures and what a car does in them.
 fn pictures() -> Demonstrations {
     let env = EnvConfig::default();
-    let (observation_space, action) = env.spaces();
+    let (observation_space, action) = env.spaces().unwrap();
     let (pixels, action_dims) = (observation_space.frame_len(), action.action_len());
     let episode = Episode {
         seed: 1,
