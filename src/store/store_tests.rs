@@ -1,5 +1,7 @@
 //! The store by itself, without stages.
 
+use std::collections::BTreeMap;
+
 use serde_json::{Value, json};
 
 use super::*;

@@ -86,10 +86,9 @@ mod tests {
         preprocess::shrink(&from, &mut exact);
         Area::new([FULL; 2], [SIDE; 2]).apply(&from, 1, &mut ours);
         assert!(exact.iter().zip(&ours).all(|(a, b)| a.abs_diff(*b) <= 1));
-        assert!(
-            exact.iter().zip(&ours).filter(|(a, b)| a != b).count() < SIDE * SIDE / 40,
-            "only ties differ"
-        );
+        // Of the means here, 608 are ties: those go to the even level there and up here.
+        let differ = exact.iter().zip(&ours).filter(|(a, b)| a != b).count();
+        assert!(differ <= 608, "{differ} pixels differ");
     }
 
     #[test]
