@@ -45,6 +45,8 @@ pub(super) enum Command {
     /// Run the stages that are not cached, and copy tables and figures to the results folder
     #[command(after_help = EXIT_CODES)]
     Run(RunArgs),
+    /// Run, and run again whenever the pipeline file or a file that it reads changes
+    Watch(RunArgs),
     /// Show what would run, and which parameter or input made it so; runs nothing
     Plan(PlanArgs),
     /// Say which field, input or revision made stages run, with old and new value, back to the first cause
@@ -73,7 +75,7 @@ pub(super) enum Command {
 impl Command {
     /// True for `run --json`, whose errors are lines of JSON too.
     pub fn speaks_json(&self) -> bool {
-        matches!(self, Self::Run(args) if args.json)
+        matches!(self, Self::Run(args) | Self::Watch(args) if args.json)
     }
 }
 

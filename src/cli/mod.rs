@@ -23,6 +23,7 @@ mod signals;
 mod terminal;
 mod unchanged;
 pub mod untrusted;
+mod watch;
 mod why;
 
 use std::ffi::{OsStr, OsString};
@@ -109,6 +110,7 @@ fn stage_job(args: &[OsString]) -> Option<&OsStr> {
 fn own(command: &Command, registry: &Registry) -> ExitCode {
     let done = match command {
         Command::Run(args) => run::main(args, registry),
+        Command::Watch(args) => watch::main(args, registry),
         Command::Plan(args) => plan::main(args, registry),
         Command::Explain(args) => inspect::explain::main(args, registry),
         Command::Status(args) => inspect::status::main(args, registry),

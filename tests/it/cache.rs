@@ -257,7 +257,7 @@ fn blobs_are_read_only_and_named_after_their_content() {
 }
 
 #[test]
-fn several_engines_on_one_store_run_every_stage_once() {
+fn eight_engines_on_one_store_run_every_stage_once() {
     let lab = Lab::new();
     let mut stages: Vec<StageLine> = (0..12)
         .map(|number| {
@@ -268,7 +268,7 @@ fn several_engines_on_one_store_run_every_stage_once() {
         let (name, first, second) = (format!("j{number}"), format!("s{number}"), format!("s{}", number + 6));
         stages.push(StageLine::new(&name, "concat", json!({})).reads("parts", &[&first, &second]));
     }
-    let engines: Vec<_> = (0..4).map(|_| lab.engine(&stages, 2).spawn().unwrap()).collect();
+    let engines: Vec<_> = (0..8).map(|_| lab.engine(&stages, 2).spawn().unwrap()).collect();
     for mut engine in engines {
         assert!(engine.wait().unwrap().success());
     }

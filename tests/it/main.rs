@@ -36,3 +36,4 @@ mod thesis;
 mod tidy;
 mod unchanged;
 mod untrusted;
+mod watch;

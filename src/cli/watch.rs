@@ -1,0 +1,105 @@
+//! `dril-pipe watch`: runs a pipeline, and runs it again whenever its file or a file that it reads changes.
+//!
+//! It looks at the files a few times a second instead of asking the system for notices: there are few of them, and that
+//! works on every file system.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use dril_stage_api::Registry;
+
+use super::args::RunArgs;
+use super::terminal::{Style, Terminal, count, print, print_error, shown};
+use super::{pipeline, run, signals};
+use crate::error::{Error, exit_codes};
+use crate::fsx;
+use crate::resolve::{From, Graph};
+
+/// How often the files are looked at.
+const GLANCE: Duration = Duration::from_millis(200);
+/// An editor that writes several files, or one in pieces, has this long to finish.
+const QUIET: Duration = Duration::from_millis(150);
+
+/// What a file looked like; `None` where there was none.
+type Looks = BTreeMap<PathBuf, Option<String>>;
+
+pub(super) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Error> {
+    let stop = signals::stop_flag()?;
+    let mut files = files(args, registry);
+    loop {
+        let before = looks(&files);
+        // A mistake in the file is told, and is gone with the next edit.
+        if let Err(error) = run::main(args, registry) {
+            print_error(&error.to_string());
+        }
+        files = self::files(args, registry);
+        if !args.quiet && !args.json {
+            let terminal = Terminal::stdout();
+            let text = format!("watching {}; Ctrl-C ends", count(files.len(), "file"));
+            print(&format!("{}\n", terminal.paint(Style::Quiet, &text)))?;
+        }
+        let mut seen = looks(&files);
+        // An edit while it ran counts too.
+        seen.extend(before.into_iter().filter(|(path, _)| files.contains(path)));
+        let changed = loop {
+            if stop.load(Ordering::Relaxed) {
+                return Ok(ExitCode::from(exit_codes::INTERRUPTED));
+            }
+            if let Some(changed) = changed(&seen) {
+                break changed;
+            }
+            std::thread::sleep(GLANCE);
+        };
+        settle(&files);
+        if !args.quiet && !args.json {
+            print(&format!("\n{} changed\n", shown(&changed)))?;
+        }
+    }
+}
+
+/// The pipeline file and the files from outside that it reads, as far as it can be read.
+fn files(args: &RunArgs, registry: &Registry) -> Vec<PathBuf> {
+    let mut files = vec![args.pipeline.file.clone()];
+    if let Ok(graph) = pipeline::load(&args.pipeline, registry) {
+        let base = pipeline::base(&args.pipeline);
+        files.extend(outside(&graph).into_iter().map(|path| base.join(path)));
+    }
+    files.sort();
+    files.dedup();
+    files
+}
+
+fn outside(graph: &Graph) -> Vec<&str> {
+    let sources = graph.stages.node_weights().flat_map(|stage| &stage.inputs).flat_map(|wire| &wire.sources);
+    sources
+        .filter_map(|source| match &source.from {
+            From::File { path, .. } => Some(path.as_str()),
+            From::Stage { .. } => None,
+        })
+        .collect()
+}
+
+fn looks(files: &[PathBuf]) -> Looks {
+    files.iter().map(|path| (path.clone(), fsx::identity(path).ok())).collect()
+}
+
+/// The first file that looks otherwise than it was seen.
+fn changed(seen: &Looks) -> Option<PathBuf> {
+    seen.iter().find(|(path, look)| fsx::identity(path).ok() != **look).map(|(path, _)| path.clone())
+}
+
+/// Waits until the files have not changed for a moment.
+fn settle(files: &[PathBuf]) {
+    let mut before = looks(files);
+    loop {
+        std::thread::sleep(QUIET);
+        let now = looks(files);
+        if now == before {
+            return;
+        }
+        before = now;
+    }
+}

@@ -1,0 +1,27 @@
+//! `watch` runs a pipeline again whenever it, or a file that it reads, changes.
+
+use std::process::Stdio;
+
+use crate::sealed::{Sealed, signal, until};
+
+#[test]
+fn an_edit_of_the_pipeline_or_of_a_file_that_it_reads_runs_it_again() {
+    let sealed =
+        Sealed::with("name: x\nstages:\n  a: { kind: concat, inputs: { parts: { file: d.txt } } }\n");
+    sealed.write("d.txt", "one");
+    let mut child =
+        sealed.command("watch p.yaml --quiet").stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    let result = || std::fs::read_to_string(sealed.path("results/x-default/a.md")).unwrap_or_default();
+    until("it ran", || result() == "one");
+    sealed.write("d.txt", "two");
+    until("the file was seen", || result() == "two");
+    sealed.write("p.yaml", "name: x\nstages: nonsense\n");
+    std::thread::sleep(std::time::Duration::from_millis(600));
+    assert!(child.try_wait().unwrap().is_none(), "a mistake does not end it");
+    sealed.write("d.txt", "three");
+    let text = "name: x\nstages:\n  a: { kind: concat, with: { separator: s }, inputs: { parts: { file: d.txt } } }\n";
+    sealed.write("p.yaml", text);
+    until("the mended pipeline was seen", || result() == "three");
+    signal(&child, "INT");
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+}
