@@ -10,7 +10,7 @@ use std::path::PathBuf;
 use clap::{ArgMatches, Args, CommandFactory, FromArgMatches, Parser, Subcommand, ValueEnum};
 
 use super::Extra;
-use crate::resolve::Choices;
+use crate::resolve::{Choices, Selection};
 use crate::spec::limits::parse_time;
 pub(super) use cache::{CacheArgs, CacheCommand, DuArgs, ExportArgs, GcArgs, ImportArgs, VerifyArgs};
 pub(super) use inspect::{DiffArgs, ExplainArgs, LogArgs, RunsArgs, ShowArgs, StatusArgs};
@@ -100,6 +100,31 @@ impl PipelineArgs {
     }
 }
 
+/// Which of its stages.
+#[derive(Debug, Args)]
+pub(super) struct SelectArgs {
+    /// Stages to bring up to date, with all that they need: `table22`, `'table*'`, `'evaluate[policy=beta]'`; without any, all
+    #[arg(value_name = "STAGE")]
+    targets: Vec<String>,
+    /// Only this stage and those that depend on it (of the stages that were asked for); may be given several times
+    #[arg(long, value_name = "STAGE")]
+    from: Vec<String>,
+    /// Nothing but the stages that were asked for: what they need must be cached
+    #[arg(long)]
+    only: bool,
+    /// Run this stage although it is cached; may be given several times
+    #[arg(long, value_name = "STAGE")]
+    force: Vec<String>,
+}
+
+impl SelectArgs {
+    /// As the resolver takes them.
+    pub fn selection(&self) -> Selection {
+        let Self { targets, from, only, force } = self;
+        Selection { targets: targets.clone(), from: from.clone(), force: force.clone(), only: *only }
+    }
+}
+
 /// Where finished work is kept.
 #[derive(Debug, Args)]
 pub(super) struct StoreArgs {
@@ -120,6 +145,8 @@ impl StoreArgs {
 pub(super) struct RunArgs {
     #[command(flatten)]
     pub pipeline: PipelineArgs,
+    #[command(flatten)]
+    pub select: SelectArgs,
     #[command(flatten)]
     pub store: StoreArgs,
     /// Where tables and figures go [default: `results/<pipeline>-<profile>`]
@@ -144,11 +171,17 @@ pub(super) struct RunArgs {
     #[arg(long)]
     pub check_determinism: bool,
     /// Write what every stage was made as to the lock file beside the pipeline, `thesis.lock` for `thesis.yaml`
-    #[arg(long, conflicts_with_all = ["locked", "set"])]
+    #[arg(long, conflicts_with_all = ["locked", "set", "targets", "from"])]
     pub lock: bool,
     /// Fail where anything is not as the lock file says: before anything runs where that is known
-    #[arg(long)]
+    #[arg(long, conflicts_with_all = ["targets", "from"])]
     pub locked: bool,
+    /// Go on with what does not depend on a failed stage (this is the default)
+    #[arg(long, conflicts_with = "fail_fast")]
+    pub keep_going: bool,
+    /// Show what would run, as `plan` does, and run nothing
+    #[arg(short = 'n', long, conflicts_with = "quiet")]
+    pub dry_run: bool,
     /// Print what happens as lines of JSON
     #[arg(long, conflicts_with = "quiet")]
     pub json: bool,
@@ -161,6 +194,8 @@ pub(super) struct RunArgs {
 pub(super) struct PlanArgs {
     #[command(flatten)]
     pub pipeline: PipelineArgs,
+    #[command(flatten)]
+    pub select: SelectArgs,
     #[command(flatten)]
     pub store: StoreArgs,
     /// One line for each stage instance, cached ones too
@@ -263,7 +298,7 @@ pub(super) struct KindsArgs {
 #[derive(Debug)]
 pub(super) enum Request {
     /// One of the program's own commands.
-    Own(Command),
+    Own(Box<Command>),
     /// A subcommand that was handed in, with the arguments after its name.
     Extra(usize, Vec<OsString>),
     /// Help, version, or a mistake: a text, for standard output or (a mistake) standard error, and an exit code.
@@ -282,7 +317,7 @@ pub(super) fn read(args: Vec<OsString>, extras: &[Extra], colour: bool) -> Reque
         return Request::Extra(index, rest(below));
     }
     match Cli::from_arg_matches(&matches) {
-        Ok(cli) => Request::Own(cli.command),
+        Ok(cli) => Request::Own(Box::new(cli.command)),
         Err(error) => answer(&error, colour),
     }
 }

@@ -6,11 +6,12 @@ use std::path::{Path, PathBuf};
 
 use dril_stage_api::Registry;
 
-use super::args::{PipelineArgs, StoreArgs};
-use crate::error::Error;
+use super::args::{PipelineArgs, SelectArgs, StoreArgs};
+use crate::error::{Error, ErrorKind};
 use crate::fsx;
-use crate::resolve::{self, Choices, Graph};
-use crate::spec::{self, Diagnostics, SourceName};
+use crate::plan::{self, Plan, Verdict};
+use crate::resolve::{self, Choices, Graph, Selected};
+use crate::spec::{self, Diagnostics, SourceName, Spec};
 use crate::store::Store;
 
 /// The environment variable that names the store.
@@ -22,10 +23,17 @@ const CACHE: &str = "DRIL_PIPE_CACHE";
 /// All that is wrong with it.
 pub(super) fn load(args: &PipelineArgs, registry: &Registry) -> Result<Graph, Error> {
     let name = SourceName(args.file.display().to_string());
-    let bytes = fsx::read(&args.file).map_err(|error| Diagnostics::unreadable(&name, &error.source))?;
-    let spec = spec::parse_bytes(&bytes, &name)?;
+    let spec = read(&args.file, &name)?;
     let choices = Choices { environment: environment(), ..args.choices() };
     Ok(resolve::resolve(&spec, &choices, registry)?)
+}
+
+/// Reads a pipeline file and those that it includes.
+fn read(file: &Path, name: &SourceName) -> Result<Spec, Error> {
+    let bytes = fsx::read(file).map_err(|error| Diagnostics::unreadable(name, &error.source))?;
+    let base = base_of(file);
+    let mut load = |path: &str| fsx::read(&base.join(path)).map_err(|error| error.source);
+    Ok(spec::parse_with(&bytes, name, &mut load)?)
 }
 
 /// The variables whose names and values are text.
@@ -40,8 +48,7 @@ fn environment() -> BTreeMap<String, String> {
 /// All that is wrong with it.
 pub(super) fn load_all_profiles(file: &Path, registry: &Registry) -> Result<Vec<Graph>, Error> {
     let name = SourceName(file.display().to_string());
-    let bytes = fsx::read(file).map_err(|error| Diagnostics::unreadable(&name, &error.source))?;
-    let spec = spec::parse_bytes(&bytes, &name)?;
+    let spec = read(file, &name)?;
     let mut profiles: Vec<Option<String>> = spec.profiles().map(|profile| Some(profile.to_owned())).collect();
     if profiles.is_empty() {
         profiles.push(None);
@@ -52,6 +59,43 @@ pub(super) fn load_all_profiles(file: &Path, registry: &Registry) -> Result<Vec<
         graphs.push(resolve::resolve(&spec, &choices, registry)?);
     }
     Ok(graphs)
+}
+
+/// As [`load`], and the part of the graph that is asked for.
+///
+/// # Errors
+/// All that is wrong with the file, or the first pattern that means no stage.
+pub(super) fn select(
+    args: &PipelineArgs,
+    select: &SelectArgs,
+    registry: &Registry,
+) -> Result<Selected, Error> {
+    let graph = load(args, registry)?;
+    select.selection().of(graph).map_err(|error| Error::new(ErrorKind::Usage, error.message).hint(error.hint))
+}
+
+/// The plan for what is selected.
+///
+/// # Errors
+/// No plan can be made, or stages that were not asked for would have to run.
+pub(super) fn plan<'g>(
+    selected: &'g Selected,
+    store: &Store,
+    args: &PipelineArgs,
+) -> Result<Plan<'g>, Error> {
+    let Selected { graph, settled, forced, .. } = selected;
+    let plan = plan::plan_forced(graph, store, &base(args), forced.clone())?;
+    let stale = plan
+        .steps
+        .iter()
+        .filter(|(stage, verdict)| settled.contains(stage) && !matches!(verdict, Verdict::Cached { .. }));
+    let stale: Vec<String> = stale.map(|(stage, _)| format!("`{}`", graph.stages[*stage].id)).collect();
+    if let Some(first) = stale.first() {
+        let more = if stale.len() > 1 { format!(" and {} more", stale.len() - 1) } else { String::new() };
+        let message = format!("`--only` leaves out {first}{more}, which is needed and not cached");
+        return Err(Error::new(ErrorKind::Usage, message).hint("leave `--only` out, and it runs too"));
+    }
+    Ok(plan)
 }
 
 /// The folder that the pipeline file's paths are relative to.

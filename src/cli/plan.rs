@@ -13,21 +13,27 @@ use crate::error::Error;
 use crate::exec::Options;
 use crate::plan::{self, Estimates, Plan, Verdict};
 use crate::resolve::StageIndex;
+use crate::store::Store;
 
 /// At most so many stages are named after "depends on".
 const MOST_CAUSES: usize = 4;
 
 pub(super) fn main(args: &PlanArgs, registry: &Registry) -> Result<ExitCode, Error> {
-    let graph = pipeline::load(&args.pipeline, registry)?;
+    let selected = pipeline::select(&args.pipeline, &args.select, registry)?;
     let store = pipeline::store(&args.store)?;
-    let plan = plan::plan(&graph, &store, &pipeline::base(&args.pipeline))?;
-    let estimates = Estimates::of(&plan, &store)?;
-    if args.json {
-        print(&format!("{:#}\n", as_json(&plan, &estimates)))?;
-    } else {
-        print(&table(&plan, &estimates, args.all, Terminal::stdout()))?;
-    }
+    let plan = pipeline::plan(&selected, &store, &args.pipeline)?;
+    show(&plan, &store, args.json, args.all)?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// Prints a plan.
+pub(super) fn show(plan: &Plan<'_>, store: &Store, json: bool, all: bool) -> Result<(), Error> {
+    let estimates = Estimates::of(plan, store)?;
+    if json {
+        print(&format!("{:#}\n", as_json(plan, &estimates)))
+    } else {
+        print(&table(plan, &estimates, all, Terminal::stdout()))
+    }
 }
 
 /// How many stages there are of each verdict.

@@ -26,35 +26,41 @@ pub(super) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Erro
     {
         return Ok(ExitCode::SUCCESS);
     }
-    let graph = pipeline::load(&args.pipeline, registry)?;
+    let selected = pipeline::select(&args.pipeline, &args.select, registry)?;
+    let graph = &selected.graph;
     let store = pipeline::store(&args.store)?;
-    let plan = plan::plan(&graph, &store, &pipeline::base(&args.pipeline))?;
+    let plan = pipeline::plan(&selected, &store, &args.pipeline)?;
+    if args.dry_run {
+        super::plan::show(&plan, &store, args.json, false)?;
+        return Ok(ExitCode::SUCCESS);
+    }
     // Only of a file that did not change while it was read.
     let circumstances = circumstances.filter(|before| Circumstances::of(args).as_ref() == Some(before));
     let files = plan.files.values().map(|file| (file.path.clone(), file.digest)).collect();
     let lock = Locked::read(args)?;
     lock.check_plan(&plan)?;
     let options = options(args, began)?;
-    let mut reporter = report::choose(args, &graph);
+    let mut reporter = report::choose(args, graph);
     reporter.planned(&plan, options.threads);
     let runner = ChildRunner::this_program()
         .map_err(|error| Error::new(ErrorKind::Io, format!("cannot find this program's file: {error}")))?;
     let stop = signals::stop_flag()?;
     let executed = exec::execute(plan, &store, &runner, &options, &stop, &mut |event| reporter.event(event))?;
-    let folder = args.out.clone().unwrap_or_else(|| results::default_folder(&graph));
-    let published = results::publish(&folder, &graph, &store, |stage| executed.outputs(stage));
+    let folder = args.out.clone().unwrap_or_else(|| results::default_folder(graph));
+    let place = |stage| executed.outputs(selected.place(stage)?);
+    let published = results::publish(&folder, selected.all(), &store, place);
     let mut error = None;
     let published = published.unwrap_or_else(|failed| {
         error = Some(failed);
         None
     });
-    if error.is_none() {
-        error = lock.settle(&graph, &executed).err();
+    if error.is_none() && selected.whole.is_none() {
+        error = lock.settle(graph, &executed).err();
     }
     let left =
-        if executed.outcome.out_of_time { left(args, &graph, &store, options.threads).ok() } else { None };
+        if executed.outcome.out_of_time { left(args, graph, &store, options.threads).ok() } else { None };
     if let Some(circumstances) = circumstances.filter(|_| error.is_none() && executed.outcome.is_complete()) {
-        circumstances.note(&graph, &store, files, &executed, published.as_ref());
+        circumstances.note(graph, &store, files, &executed, published.as_ref());
     }
     // The work is done and in the store: its end is told, whatever became of the copies.
     let mut code = error.as_ref().map_or_else(|| exit_code(&executed), |error| error.kind().exit_code());
@@ -68,7 +74,7 @@ pub(super) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Erro
     reporter.ended(&ending);
     if args.check_determinism && code == exit_codes::OK {
         drop(reporter);
-        code = checked::main(args, &graph, &store, &runner, &options, &stop)?;
+        code = checked::main(args, graph, &store, &runner, &options, &stop)?;
     }
     Ok(ExitCode::from(code))
 }

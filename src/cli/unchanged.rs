@@ -46,12 +46,15 @@ impl Circumstances {
         // Without `..`: whoever adds an argument has to say here whether it can make a difference.
         let RunArgs {
             pipeline,
+            select,
             store: _,
             out,
             jobs: _,
             checkpoint_every: _,
             tensorboard: _,
             fail_fast: _,
+            keep_going: _,
+            dry_run,
             time: _,
             check_determinism,
             lock,
@@ -59,7 +62,7 @@ impl Circumstances {
             json,
             quiet: _,
         } = args;
-        if *check_determinism || *lock || *locked || *json {
+        if *check_determinism || *lock || *locked || *json || *dry_run || !select.selection().is_all() {
             return None;
         }
         let source = fsx::read(&pipeline.file).ok()?;

@@ -39,6 +39,7 @@ fn input(port: &str, first: &Reason, parts: usize) -> String {
 fn one(reason: &Reason) -> String {
     match reason {
         Reason::New => "new".to_owned(),
+        Reason::Forced => "asked for by `--force`".to_owned(),
         Reason::Param { path, old, new } => {
             let value = |value: &Option<String>| match value {
                 Some(value) => cut(&printable(value), LONGEST_VALUE),

@@ -61,7 +61,7 @@ pub fn check(
         }
     }
     run.rely_on(queue.iter().map(|(_, key)| *key), [])?;
-    let shape = Shape { graph: plan.graph, files: &plan.files, order: &plan.order };
+    let shape = Shape { graph: plan.graph, files: &plan.files, order: &plan.order, forced: &plan.forced };
     let site = Site { store, runner, options, halt: stop };
     let queue = Mutex::new(queue);
     let threads = Threads::new(options.threads.max(1));

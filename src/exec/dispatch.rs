@@ -3,7 +3,7 @@
 mod backfill;
 mod settle;
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
@@ -33,6 +33,8 @@ pub(super) struct Shape<'a> {
     pub graph: &'a Graph,
     pub files: &'a BTreeMap<String, OutsideFile>,
     pub order: &'a Order,
+    /// Stages that run although they are cached.
+    pub forced: &'a BTreeSet<StageIndex>,
 }
 
 /// Where a stage stands.
@@ -311,6 +313,9 @@ impl<'a, 's> Dispatcher<'a, 's> {
 
     /// Looks whether a key is made; if so, it stays until this run is over.
     fn look_up(&self, stage: StageIndex, key: &Key) -> Result<Cached, StoreError> {
+        if self.shape.forced.contains(&stage) {
+            return Ok(Cached::No(Some(Reason::Forced)));
+        }
         let run = self.journal.run();
         let _held = if run.is_some() { self.site.store.hold()? } else { None };
         let cached = plan::look_up(self.site.store, &self.history, &self.shape.graph.stages[stage], key)?;

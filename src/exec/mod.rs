@@ -126,12 +126,12 @@ pub fn execute(
 ) -> Result<Executed, ExecError> {
     let began = Instant::now();
     check_workers(&plan, runner)?;
-    let Plan { graph, steps, files, order, history, held, stats, .. } = plan;
+    let Plan { graph, steps, files, order, history, held, stats, forced, .. } = plan;
     // It saves time the next time; a store that cannot be written is told where it matters.
     let _ = store.keep_stats(&stats);
     let halt = AtomicBool::new(false);
     let site = work::Site { store, runner, options, halt: &halt };
-    let shape = dispatch::Shape { graph, files: &files, order: &order };
+    let shape = dispatch::Shape { graph, files: &files, order: &order, forced: &forced };
     let mut dispatcher = dispatch::Dispatcher::new(shape, (history, held), site, began, sink);
     std::thread::scope(|scope| {
         let (sender, receiver) = mpsc::sync_channel(256);

@@ -9,7 +9,7 @@ mod lookup;
 mod order;
 mod outside;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -44,6 +44,8 @@ pub struct Plan<'g> {
     pub(crate) held: Option<Lock>,
     /// What was learned about the files from outside, worth keeping.
     pub(crate) stats: Stats,
+    /// Stages that run although they are cached.
+    pub(crate) forced: BTreeSet<StageIndex>,
 }
 
 /// What will happen to a stage.
@@ -111,6 +113,8 @@ pub struct MissingFile {
 pub enum Reason {
     /// There is no earlier record of this stage.
     New,
+    /// It was asked for, whatever is cached.
+    Forced,
     /// A parameter has another value; `path` dotted, values as JSON, `None` where absent.
     Param {
         /// Where, as `total_steps` or `env.car-racing.time_limit`.
@@ -171,18 +175,31 @@ pub enum Reason {
 /// # Errors
 /// A file from outside or the store cannot be read.
 pub fn plan<'g>(graph: &'g Graph, store: &Store, base: &Path) -> Result<Plan<'g>, PlanError> {
+    plan_forced(graph, store, base, BTreeSet::new())
+}
+
+/// As [`plan`], with stages that are to run although they are cached.
+///
+/// # Errors
+/// As [`plan`].
+pub fn plan_forced<'g>(
+    graph: &'g Graph,
+    store: &Store,
+    base: &Path,
+    forced: BTreeSet<StageIndex>,
+) -> Result<Plan<'g>, PlanError> {
     let (files, stats) = outside::outside_files(graph, base, store)?;
     let order =
         Order::of(graph).map_err(|stage| PlanError::Cycle(graph.stages[stage].id.as_ref().to_owned()))?;
     let held = store.hold()?;
     let history = store.history(&graph.pipeline, &graph.profile)?;
-    let planner = Planner { graph, store, files: &files, history: &history };
+    let planner = Planner { graph, store, files: &files, history: &history, forced: &forced };
     let steps = planner.steps(&order)?;
     let mut position = vec![0; steps.len()];
     for (at, (index, _)) in steps.iter().enumerate() {
         position[index.index()] = at;
     }
-    Ok(Plan { graph, steps, files, order, history, position, held, stats })
+    Ok(Plan { graph, steps, files, order, history, position, held, stats, forced })
 }
 
 struct Planner<'a> {
@@ -190,6 +207,7 @@ struct Planner<'a> {
     store: &'a Store,
     files: &'a BTreeMap<String, OutsideFile>,
     history: &'a History,
+    forced: &'a BTreeSet<StageIndex>,
 }
 
 impl Planner<'_> {
@@ -225,6 +243,9 @@ impl Planner<'_> {
             let why = why(self.graph, stage, done, self.files, self.store, self.history)?;
             return Ok(Verdict::DependsOn { stages: union(feeding), why });
         };
+        if self.forced.contains(&index) {
+            return Ok(Verdict::Run { key, why: vec![Reason::Forced] });
+        }
         match look_up(self.store, self.history, stage, &key)? {
             Cached::Yes(outputs) => Ok(Verdict::Cached { key, outputs }),
             Cached::No(Some(reason)) => Ok(Verdict::Run { key, why: vec![reason] }),

@@ -15,6 +15,8 @@ use crate::spec::suggest;
 pub(super) struct Axis {
     pub name: Arc<str>,
     pub values: Vec<AxisValue>,
+    /// Values that it had before a profile or `--set` chose others.
+    pub gone: Vec<Arc<str>>,
 }
 
 /// A value on an axis.
@@ -62,6 +64,8 @@ impl Axis {
 /// `node` as the values of the axis, laid over those that it has already: a map is merged value by value, and a list
 /// over values with fields chooses among them.
 pub(super) fn lay(below: Option<Axis>, name: &Key, node: Node, problems: &mut Problems) -> Option<Axis> {
+    let mut gone = below.as_ref().map(|below| below.gone.clone()).unwrap_or_default();
+    gone.extend(below.iter().flat_map(|below| &below.values).map(|value| value.label.clone()));
     let values = match (node.value, below) {
         (Value::List(items), Some(below)) if below.has_fields() => choose(&below, name, items, problems)?,
         (Value::List(items), _) => scalars(name, items, problems)?,
@@ -85,7 +89,8 @@ pub(super) fn lay(below: Option<Axis>, name: &Key, node: Node, problems: &mut Pr
         });
         return None;
     }
-    let axis = Axis { name: name.text.clone(), values };
+    gone.retain(|label| values.iter().all(|value| value.label != *label));
+    let axis = Axis { name: name.text.clone(), values, gone };
     distinct(&axis, problems).then_some(axis)
 }
 

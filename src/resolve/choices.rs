@@ -1,12 +1,14 @@
-//! What the command line chooses: the profile, and the `--set` arguments.
+//! What the command line chooses: the profile, and the `--set` arguments. Several values in one argument are a sweep: an
+//! axis that the stage gets beside its own, and with it every stage behind it that reads one artifact of it.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
 
 use super::Choices;
 use crate::spec::Spec;
 use crate::spec::layer::{self, Known};
-use crate::spec::model::{Defaults, Layer};
+use crate::spec::model::{Defaults, Layer, MatrixAxis};
+use crate::spec::names;
 use crate::spec::node::{Key, Node, Value};
 use crate::spec::problem::{Problem, Problems};
 use crate::spec::source::{Source, Sources, Span};
@@ -16,32 +18,70 @@ use crate::spec::yaml;
 /// The profile of a file that has none.
 const DEFAULT: &str = "default";
 
-/// The file, the profile over it, and each `--set` over that.
+/// The files, the profile over them, and each `--set` over that.
 pub(super) struct Layers<'a> {
     pub profile: Arc<str>,
-    base: &'a Layer,
-    chosen: Option<&'a Layer>,
+    files: &'a [Layer],
+    chosen: &'a [Layer],
     set: Vec<Layer>,
+    sweeps: Vec<Sweep>,
 }
+
+/// An axis that `--set` adds to the matrix of a stage.
+struct Sweep {
+    stage: Arc<str>,
+    axis: MatrixAxis,
+}
+
+/// Stages that need the axis of a sweep because of what they read, by stage and axis.
+pub(super) type Spread = BTreeSet<(Arc<str>, Arc<str>)>;
 
 impl<'a> Layers<'a> {
     /// Reads the choices; wrong ones are reported.
-    pub fn read(spec: &'a Spec, choices: &Choices, sources: &mut Sources, problems: &mut Problems) -> Self {
+    pub fn read(
+        spec: &'a Spec,
+        choices: &Choices,
+        spread: &Spread,
+        sources: &mut Sources,
+        problems: &mut Problems,
+    ) -> Self {
         let (profile, chosen) = profile(spec, choices.profile.as_deref(), sources, problems);
         let known = Known::new(&spec.base, &spec.stages);
         let mut set = Vec::new();
+        let mut sweeps: Vec<Sweep> = Vec::new();
         for argument in &choices.set {
             let source = sources.add(Source::argument("--set", argument));
-            if let Some(node) = assignment(argument, source, problems) {
-                set.push(layer::overrides(node, &known, "`--set`", problems));
+            let Some((keys, values)) = assignment(argument, source, problems) else { continue };
+            let value = match <[Node; 1]>::try_from(values) {
+                Ok([value]) => Some(value),
+                Err(values) => sweep(spec, &keys, values, &mut sweeps, problems),
+            };
+            if let Some(value) = value {
+                set.push(layer::overrides(nested(keys, value), &known, "`--set`", problems));
             }
         }
-        Self { profile, base: &spec.base, chosen, set }
+        let wanted = spread.iter().filter_map(|(stage, axis)| {
+            let sweep = sweeps.iter().find(|sweep| sweep.axis.name.text == *axis)?;
+            Some(Sweep { stage: stage.clone(), axis: sweep.axis.clone() })
+        });
+        let wanted: Vec<Sweep> = wanted.collect();
+        sweeps.extend(wanted);
+        Self { profile, files: &spec.files, chosen, set, sweeps }
+    }
+
+    /// The axes that a stage has because of a sweep.
+    pub fn sweeps(&self, stage: &str) -> impl Iterator<Item = &MatrixAxis> {
+        self.sweeps.iter().filter(move |sweep| &*sweep.stage == stage).map(|sweep| &sweep.axis)
+    }
+
+    /// True for the axis of a sweep.
+    pub fn is_sweep(&self, axis: &str) -> bool {
+        self.sweeps.iter().any(|sweep| &*sweep.axis.name.text == axis)
     }
 
     /// From the lowest to the highest.
     fn all(&self) -> impl Iterator<Item = &Layer> {
-        [self.base].into_iter().chain(self.chosen).chain(&self.set)
+        self.files.iter().chain(self.chosen).chain(&self.set)
     }
 
     /// Every value of the pipeline's seed, the one that holds last.
@@ -79,15 +119,15 @@ fn profile<'a>(
     wanted: Option<&str>,
     sources: &mut Sources,
     problems: &mut Problems,
-) -> (Arc<str>, Option<&'a Layer>) {
+) -> (Arc<str>, &'a [Layer]) {
     let Some(wanted) = wanted else {
         return match spec.profiles.first() {
-            Some(first) => (first.name.text.clone(), Some(&first.layer)),
-            None => (DEFAULT.into(), None),
+            Some(first) => (first.name.text.clone(), &first.layers),
+            None => (DEFAULT.into(), &[]),
         };
     };
     if let Some(found) = spec.profiles.iter().find(|profile| &*profile.name.text == wanted) {
-        return (found.name.text.clone(), Some(&found.layer));
+        return (found.name.text.clone(), &found.layers);
     }
     if !(spec.profiles.is_empty() && wanted == DEFAULT) {
         let source = sources.add(Source::argument("--profile", wanted));
@@ -101,11 +141,61 @@ fn profile<'a>(
             problem.hint(suggest::hint(wanted, "the profiles", spec.profiles()))
         });
     }
-    (wanted.into(), None)
+    (wanted.into(), &[])
 }
 
-/// `a.b=value` as the map `{ a: { b: value } }`.
-fn assignment(argument: &str, source: u16, problems: &mut Problems) -> Option<Node> {
+/// The value under these names, as a map.
+fn nested(keys: Vec<Key>, value: Node) -> Node {
+    keys.into_iter().rev().fold(value, |node, key| {
+        let span = key.span;
+        Node::new(Value::Map(vec![(key, node)]), span)
+    })
+}
+
+/// What stands for several values: of an axis, their list; of a stage's field, a reference to the axis that they become.
+fn sweep(
+    spec: &Spec,
+    keys: &[Key],
+    values: Vec<Node>,
+    sweeps: &mut Vec<Sweep>,
+    problems: &mut Problems,
+) -> Option<Node> {
+    let (first, last) = (keys.first()?, keys.last()?);
+    let at = values.iter().map(|value| value.span).reduce(|a, b| Span { end: b.end, ..a })?;
+    let list = Node::new(Value::List(values), at);
+    if &*first.text == "axes" {
+        return Some(list);
+    }
+    let is_stage = spec.stages.iter().any(|stage| stage.name.text == first.text);
+    if !is_stage || keys.len() < 2 || !names::is_identifier(&last.text) {
+        problems.add(|| {
+            Problem::new(at, format!("found several values for `{}`, expected one", first.text))
+                .hint("several can be given for a field of a stage, as in `--set dril.total_steps=1000,2000`, and for an axis")
+                .hint("a text with commas is written in quotes, a list in brackets")
+        });
+        return None;
+    }
+    let taken = |name: &str| {
+        names::RESERVED_VALUES.contains(&name)
+            || sweeps.iter().any(|sweep| &*sweep.axis.name.text == name)
+            || spec.base.params.get(name).is_some()
+            || spec.base.axes.get(name).is_some()
+            || spec.stages.iter().flat_map(|stage| &stage.matrix).any(|axis| &*axis.name.text == name)
+    };
+    // The field's own name where it is free: it stands in the names of instances and in tables.
+    let candidates = [last.text.to_string(), format!("{}-{}", first.text, last.text)];
+    let numbered = (2..).map(|number| format!("{}-{}-{number}", first.text, last.text));
+    let name: Arc<str> = candidates.into_iter().chain(numbered).find(|name| !taken(name))?.into();
+    let key = Key { text: name.clone(), span: last.span };
+    sweeps.push(Sweep {
+        stage: first.text.clone(),
+        axis: MatrixAxis { name: key, values: Some(list), group: None },
+    });
+    Some(Node::new(Value::Text(format!("${name}").into()), at))
+}
+
+/// The names and the values of `a.b=value` and `a.b=1,2,3`.
+fn assignment(argument: &str, source: u16, problems: &mut Problems) -> Option<(Vec<Key>, Vec<Node>)> {
     let Some((path, value)) = argument.split_once('=') else {
         problems.add(|| {
             Problem::new(Span::new(source, 0..argument.len()), "found no `=`, expected `name.field=value`")
@@ -114,17 +204,27 @@ fn assignment(argument: &str, source: u16, problems: &mut Problems) -> Option<No
         return None;
     };
     let keys = keys(path, source, problems)?;
-    let begin = path.len() + 1;
-    let mut node = yaml::read(value, source, begin, problems).or_else(|| {
-        // Nothing after the `=` is no YAML document; whatever else gives none has been reported.
-        let nothing = Node::new(Value::Null, Span::new(source, begin..argument.len()));
-        value.trim().is_empty().then_some(nothing)
-    })?;
-    for key in keys.into_iter().rev() {
-        let span = key.span;
-        node = Node::new(Value::Map(vec![(key, node)]), span);
+    let mut begin = path.len() + 1;
+    let mut nodes = Vec::new();
+    for part in parts(value) {
+        let node = yaml::read(part, source, begin, problems).or_else(|| {
+            // Nothing after the `=` is no YAML document; whatever else gives none has been reported.
+            let nothing = Node::new(Value::Null, Span::new(source, begin..begin + part.len()));
+            part.trim().is_empty().then_some(nothing)
+        });
+        nodes.push(node?);
+        begin += part.len() + 1;
     }
-    Some(node)
+    Some((keys, nodes))
+}
+
+/// The parts between commas, where the value is no list, map or quoted text.
+fn parts(value: &str) -> Vec<&str> {
+    let plain = value.trim_start().starts_with(|c: char| c.is_alphanumeric() || "-+.$_".contains(c));
+    let parts: Vec<&str> = value.split(',').collect();
+    let full =
+        parts.iter().all(|part| !part.trim().is_empty()) && !value.contains(['[', '{', '"', '\'', '\n']);
+    if plain && full { parts } else { vec![value] }
 }
 
 fn keys(path: &str, source: u16, problems: &mut Problems) -> Option<Vec<Key>> {

@@ -10,28 +10,30 @@ use serde_json::Value as Json;
 use super::axes::{Axes, Axis, AxisValue};
 use super::choices::Layers;
 use super::globals;
+use super::grid::{self, Grid};
+use super::items::beside;
 use super::params;
 use super::scope::{Filler, Globals, Scope};
 use crate::spec::Spec;
-use crate::spec::model::{Defaults, MatrixAxis, Stage};
+use crate::spec::model::{Defaults, Stage};
 use crate::spec::node::{Key, Node, Value};
 use crate::spec::problem::Problem;
 use crate::spec::source::Span;
 use crate::spec::suggest;
 
 /// More stage instances than this are refused: a slip in a matrix, not a plan.
-const MAX_INSTANCES: usize = 100_000;
+pub(super) const MAX_INSTANCES: usize = 100_000;
 
 /// A stage with its instances.
 pub(super) struct Expanded<'a> {
     pub stage: &'a Stage,
     /// `None` where it is unknown, which was reported.
     pub kind: Option<Kind>,
-    /// `None` where one of them is broken, which was reported; then there are no instances.
-    pub axes: Option<Vec<Axis>>,
+    /// `None` where its matrix is broken, which was reported; then there are no instances.
+    pub grid: Option<Grid>,
     /// The number of its first instance in the graph.
     pub first: usize,
-    /// In matrix order, the last axis fastest; `None` for one that is broken, which was reported.
+    /// In the order of the grid; `None` for one that is broken, which was reported.
     pub instances: Vec<Option<Instance>>,
     /// Its wiring, the stage's own before its kind's defaults.
     pub inputs: Vec<(&'a Key, &'a Node)>,
@@ -58,23 +60,12 @@ impl Expanded<'_> {
 
     /// The axes, none where they are broken.
     pub fn axes(&self) -> &[Axis] {
-        self.axes.as_deref().unwrap_or_default()
-    }
-
-    /// The position on each axis of an instance.
-    pub fn positions(&self, mut instance: usize) -> Vec<usize> {
-        let mut positions = vec![0; self.axes().len()];
-        for (position, axis) in positions.iter_mut().zip(self.axes()).rev() {
-            *position = instance % axis.values.len();
-            instance /= axis.values.len();
-        }
-        positions
+        self.grid.as_ref().map(Grid::axes).unwrap_or_default()
     }
 
     /// Axis and value of an instance, in the order of the matrix.
     pub fn coordinates(&self, instance: usize) -> Vec<(&str, &AxisValue)> {
-        let positions = self.positions(instance);
-        self.axes().iter().zip(positions).map(|(axis, at)| (&*axis.name, &axis.values[at])).collect()
+        self.grid.as_ref().map(|grid| grid.coordinates(instance)).unwrap_or_default()
     }
 
     /// `dril[expert=clipped, policy=beta]`.
@@ -122,12 +113,12 @@ pub(super) fn expand<'a>(world: &World<'a>, filler: &mut Filler<'_>) -> Vec<Expa
         let mut expanded = Expanded {
             stage,
             kind: kind(stage, world, filler),
-            axes: matrix(stage, world, filler),
+            grid: grid::grid(stage, world, filler),
             first: total,
             instances: Vec::new(),
             inputs: wiring(stage, shared),
         };
-        let count = expanded.axes.as_ref().map_or(0, |axes| count(axes));
+        let count = expanded.grid.as_ref().map_or(0, Grid::len);
         total = total.saturating_add(count);
         if total > MAX_INSTANCES {
             filler.problems.add(|| {
@@ -141,10 +132,6 @@ pub(super) fn expand<'a>(world: &World<'a>, filler: &mut Filler<'_>) -> Vec<Expa
         all.push(expanded);
     }
     all
-}
-
-fn count(axes: &[Axis]) -> usize {
-    axes.iter().fold(1, |count: usize, axis| count.saturating_mul(axis.values.len()))
 }
 
 fn unknown_kinds(world: &World<'_>, defaults: &HashMap<&str, Vec<&Defaults>>, filler: &mut Filler<'_>) {
@@ -169,39 +156,6 @@ fn kind(stage: &Stage, world: &World<'_>, filler: &mut Filler<'_>) -> Option<Kin
         filler.problems.add(|| unknown_kind(key, &what, world));
     }
     kind
-}
-
-fn matrix(stage: &Stage, world: &World<'_>, filler: &mut Filler<'_>) -> Option<Vec<Axis>> {
-    let axes: Vec<Option<Axis>> =
-        stage.matrix.iter().map(|axis| matrix_axis(axis, stage, world, filler)).collect();
-    axes.into_iter().collect()
-}
-
-fn matrix_axis(axis: &MatrixAxis, stage: &Stage, world: &World<'_>, filler: &mut Filler<'_>) -> Option<Axis> {
-    let shared = world.axes.0.get(&axis.name.text);
-    match (&axis.values, shared) {
-        (Some(values), shared) => {
-            let below = match shared {
-                Some(shared) => Some(shared.clone()?),
-                None => None,
-            };
-            let scope = world.scope(Vec::new(), "the values of an axis");
-            globals::axis(&axis.name, below, &[values], &scope, filler)
-        }
-        (None, Some(shared)) => shared.clone(),
-        (None, None) => {
-            filler.problems.add(|| {
-                let name = crate::spec::node::shorten(&axis.name.text);
-                Problem::new(
-                    axis.name.span,
-                    format!("the matrix of stage `{}` names the unknown axis `{name}`", stage.name.text),
-                )
-                .hint(suggest::hint(&axis.name.text, "the axes", world.axes.names()))
-                .hint(format!("values of this stage only are written as `matrix: {{ {name}: [1, 2] }}`"))
-            });
-            None
-        }
-    }
 }
 
 /// The wiring of a stage. What it says of an input takes the place of all that defaults say of it.
@@ -282,7 +236,8 @@ fn instance_of(
             let seed = if seeded { Some(Seed(seed?)) } else { None };
             let outside = ports.outside.clone().map(|outside| {
                 let at = with.get(outside.param).map_or(whole, |(_, node)| node.span);
-                (outside, at)
+                let path = beside(&filler.sources.get(at).folder, &outside.path);
+                (Outside { path, ..outside }, at)
             });
             Some(Instance { params, ports, needs, seed, outside })
         }

@@ -7,6 +7,7 @@ use dril_stage_api::{Arity, Input};
 use super::reference;
 use super::scope::{Filler, Scope};
 use super::template::{self, Lone, Template};
+use crate::spec::include::joined;
 use crate::spec::node::{Key, Node, Value};
 use crate::spec::problem::Problem;
 use crate::spec::source::Span;
@@ -112,7 +113,8 @@ impl Unpacker<'_, '_> {
         };
         match &path.value {
             Value::Text(text) if !text.is_empty() && !text.contains('\0') => {
-                self.add(&path, What::File(text.to_string()), inside);
+                let folder = &self.filler.sources.get(path.span).folder;
+                self.add(&path, What::File(beside(folder, text)), inside);
             }
             _ => self.report(|| {
                 let at = if path.span.is_empty() { key.span } else { path.span };
@@ -150,4 +152,9 @@ impl Unpacker<'_, '_> {
         self.broken = true;
         self.filler.problems.add(problem);
     }
+}
+
+/// A path that a file in `folder` names, relative to the folder of the pipeline file.
+pub(super) fn beside(folder: &str, path: &str) -> String {
+    if folder.is_empty() { path.to_owned() } else { joined(folder, path) }
 }

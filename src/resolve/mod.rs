@@ -1,8 +1,8 @@
 //! From a [`Spec`] to a [`Graph`] of stage instances: profile, overrides, matrices, parameters, wiring, type check.
 //! Pure: no I/O. All problems at once.
 //!
-//! `choices` reads profile and `--set`; `globals` and `axes` give params and axes their values; `expand` multiplies
-//! matrices out and has each instance's parameters checked; `items`, `select` and `wiring` connect
+//! `choices` reads profile and `--set`; `globals` and `axes` give params and axes their values; `matrix` and `grid`
+//! multiply matrices out, and `expand` has each instance's parameters checked; `items`, `select` and `wiring` connect
 //! instances; `build` makes the graph.
 //! `scope` knows what `$name` means where, `template` and `reference` take its text and that of a wiring apart.
 
@@ -13,12 +13,15 @@ mod cycles;
 mod expand;
 mod globals;
 mod graph;
+mod grid;
 mod items;
+mod matrix;
 mod merge;
 mod params;
 mod reference;
 mod scope;
 mod select;
+mod target;
 mod template;
 mod wiring;
 
@@ -26,13 +29,13 @@ use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
 pub use graph::{From, Graph, Source, StageIndex, StageInstance, Wire};
+pub use target::{NoStage, Selected, Selection};
 
 use dril_stage_api::Registry;
 
-use crate::spec::problem::Problems;
 use crate::spec::source::{Sources, Span};
 use crate::spec::{Diagnostics, Spec};
-use choices::Layers;
+use choices::{Layers, Spread};
 use expand::World;
 use scope::{Filler, Scope};
 
@@ -53,13 +56,23 @@ pub struct Choices {
 /// # Errors
 /// All that is wrong with it, each with its place: also what [`crate::spec::parse`] found.
 pub fn resolve(spec: &Spec, choices: &Choices, registry: &Registry) -> Result<Graph, Diagnostics> {
-    let mut sources = Sources::new(spec.source.clone());
-    let mut problems = spec.problems.clone();
-    let layers = Layers::read(spec, choices, &mut sources, &mut problems);
-    let graph = resolve_layers(spec, &layers, registry, &choices.environment, &sources, &mut problems);
-    match graph {
-        Some(graph) if problems.is_empty() => Ok(graph),
-        _ => Err(problems.into_diagnostics(&sources)),
+    let mut spread = Spread::new();
+    loop {
+        let mut sources = Sources::of(&spec.sources);
+        let mut problems = spec.problems.clone();
+        let layers = Layers::read(spec, choices, &spread, &mut sources, &mut problems);
+        let mut filler = Filler::new(&sources, &mut problems);
+        let graph = resolve_layers(spec, &layers, registry, &choices.environment, &mut filler);
+        // Each time round one more stage has the axis of a sweep, so there is an end.
+        let before = spread.len();
+        spread.append(&mut filler.spread);
+        if spread.len() > before {
+            continue;
+        }
+        return match graph {
+            Some(graph) if problems.is_empty() => Ok(graph),
+            _ => Err(problems.into_diagnostics(&sources)),
+        };
     }
 }
 
@@ -69,17 +82,15 @@ fn resolve_layers(
     layers: &Layers<'_>,
     registry: &Registry,
     environment: &BTreeMap<String, String>,
-    sources: &Sources,
-    problems: &mut Problems,
+    filler: &mut Filler<'_>,
 ) -> Option<Graph> {
     let axis_places: HashMap<Arc<str>, Span> =
         spec.base.axes.iter().map(|(key, _)| (key.text.clone(), key.span)).collect();
-    let mut filler = Filler::new(sources, problems);
-    let globals = globals::globals(spec, layers, &axis_places, &mut filler);
+    let globals = globals::globals(spec, layers, &axis_places, filler);
     let scope = |place| Scope { globals: &globals, axes: Vec::new(), all_axes: &axis_places, place };
-    let axes = globals::axes(spec, layers, &scope("`axes`"), &mut filler);
+    let axes = globals::axes(spec, layers, &scope("`axes`"), filler);
     let seed = match layers.seeds().last() {
-        Some(node) => globals::seed(node, &scope("the pipeline"), &mut filler),
+        Some(node) => globals::seed(node, &scope("the pipeline"), filler),
         None => Some(0),
     };
     let world = World {
@@ -92,6 +103,6 @@ fn resolve_layers(
         seed,
         environment,
     };
-    let stages = expand::expand(&world, &mut filler);
-    build::graph(&world, stages, &mut filler)
+    let stages = expand::expand(&world, filler);
+    build::graph(&world, stages, filler)
 }

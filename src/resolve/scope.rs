@@ -5,6 +5,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use super::axes::AxisValue;
+use super::choices::Spread;
 use super::template::{self, BadTemplate, Lone, Path, Piece, Template};
 use crate::spec::node::{MAX_DEPTH, Node, Value};
 use crate::spec::problem::{Problem, Problems};
@@ -45,6 +46,8 @@ pub(super) struct Filler<'p> {
     /// Values made so far, in all and for the value being filled.
     total: usize,
     here: usize,
+    /// Stages that turned out to need the axis of a sweep.
+    pub spread: Spread,
 }
 
 /// A name that gives no value.
@@ -144,7 +147,7 @@ fn field<'n>(node: &'n Node, name: &str, path: &str) -> Result<&'n Node, Miss> {
 impl<'p> Filler<'p> {
     /// Reports to `problems`.
     pub fn new(sources: &'p Sources, problems: &'p mut Problems) -> Self {
-        Self { sources, problems, total: 0, here: 0 }
+        Self { sources, problems, total: 0, here: 0, spread: Spread::new() }
     }
 
     /// `node` with every `$` replaced; `None` where one cannot be, which is reported.

@@ -42,7 +42,8 @@ impl<'t> Chosen<'t> {
     }
 }
 
-/// The numbers of the instances of `producer` that are meant, in matrix order. `at` is the whole wiring.
+/// The numbers of the instances of `producer` that are meant, in matrix order; none where its matrix leaves them out. `at`
+/// is the whole wiring.
 pub(super) fn instances(
     producer: &Expanded<'_>,
     chosen: &[Chosen<'_>],
@@ -63,7 +64,10 @@ pub(super) fn instances(
     if !open.is_empty() && problems.is_empty() {
         problems.push(unaddressed(producer, &open, !chosen.is_empty(), consumer, at));
     }
-    if problems.is_empty() { Ok(product(producer.axes(), &allowed)) } else { Err(problems) }
+    if !problems.is_empty() {
+        return Err(problems);
+    }
+    Ok(producer.grid.as_ref().map(|grid| grid.select(&allowed)).unwrap_or_default())
 }
 
 fn unknown_axes(producer: &Expanded<'_>, chosen: &[Chosen<'_>]) -> Vec<Problem> {
@@ -155,16 +159,6 @@ fn unaddressed(
             problem.hint(format!("the values of `{}` are {}", axis.name, axis.list()))
         })
         .hint(hint)
-}
-
-fn product(axes: &[Axis], allowed: &[Vec<usize>]) -> Vec<usize> {
-    let mut found = vec![0];
-    for (axis, positions) in axes.iter().zip(allowed) {
-        let next =
-            found.iter().flat_map(|before| positions.iter().map(move |at| before * axis.values.len() + at));
-        found = next.collect();
-    }
-    found
 }
 
 /// The output of `instance` that `reference` means.

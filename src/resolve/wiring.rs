@@ -1,6 +1,7 @@
 //! Connecting the inputs of stage instances to outputs and files, with every type and number checked.
 
 use std::collections::{HashMap, HashSet};
+use std::sync::Arc;
 
 use dril_stage_api::{Arity, Artifact, Input, Labels, Outside};
 
@@ -41,6 +42,8 @@ struct Connection<'c> {
     found: Vec<Source>,
     /// True where something was reported: what is missing then is no news.
     broken: bool,
+    /// A stage that is meant, but whose matrix has no such instance.
+    left_out: Option<String>,
 }
 
 impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
@@ -77,7 +80,8 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
             };
             let consumer = Consumer { stage: stage.name(), input, coordinates: &coordinates };
             let at = if node.span.is_empty() { key.span } else { node.span };
-            let mut connection = Connection { consumer, scope: &scope, at, found: Vec::new(), broken: false };
+            let mut connection =
+                Connection { consumer, scope: &scope, at, found: Vec::new(), broken: false, left_out: None };
             self.fill_input(node, &mut connection);
             if let Some(wire) = self.wire(connection) {
                 wires.push((wire, node.span));
@@ -224,7 +228,7 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
         &mut self,
         text: &str,
         item: &Item,
-        connection: &Connection<'_>,
+        connection: &mut Connection<'_>,
     ) -> Result<Vec<Source>, Vec<Problem>> {
         let whole = item.node.span;
         let reference = reference::parse(text).map_err(|bad| {
@@ -238,10 +242,14 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
         };
         let producer = &self.stages[at];
         let chosen = self.chosen(&reference, text, item, connection).ok_or_else(Vec::new)?;
-        if producer.axes.is_none() {
+        if producer.grid.is_none() {
             return Err(Vec::new());
         }
+        self.spread(producer, &chosen, connection)?;
         let numbers = select::instances(producer, &chosen, &connection.consumer, whole)?;
+        if numbers.is_empty() {
+            connection.left_out.get_or_insert_with(|| producer.name().to_owned());
+        }
         self.sources += numbers.len();
         if self.sources > MAX_SOURCES {
             let message = format!("the stages have more than {MAX_SOURCES} connections");
@@ -267,6 +275,29 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
             sources.push(Source { from: From::Stage { stage, output: output.name }, labels });
         }
         Ok(sources)
+    }
+
+    /// Where one artifact of a swept stage is read, the reader is swept too: resolving begins anew with that.
+    fn spread(
+        &mut self,
+        producer: &Expanded<'_>,
+        chosen: &[Chosen<'_>],
+        connection: &Connection<'_>,
+    ) -> Result<(), Vec<Problem>> {
+        let consumer = &connection.consumer;
+        let open = producer.axes().iter().filter(|axis| {
+            self.world.layers.is_sweep(&axis.name)
+                && consumer.input.arity != Arity::Many
+                && chosen.iter().all(|selector| selector.axis.text != &*axis.name)
+                && consumer.coordinates.iter().all(|(name, _)| *name != &*axis.name)
+        });
+        let open: Vec<(Arc<str>, Arc<str>)> =
+            open.map(|axis| (consumer.stage.into(), axis.name.clone())).collect();
+        if open.is_empty() {
+            return Ok(());
+        }
+        self.filler.spread.extend(open);
+        Err(Vec::new())
     }
 
     fn unknown_stage(&self, reference: &Reference<'_>, text: &str, item: &Item) -> Problem {
@@ -338,10 +369,26 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
     }
 
     fn wire(&mut self, connection: Connection<'_>) -> Option<Wire> {
-        let Connection { consumer, at, found, broken, .. } = connection;
+        let Connection { consumer, at, found, broken, left_out, .. } = connection;
         let input = consumer.input;
         let many = input.arity == Arity::Many;
         if broken {
+            return None;
+        }
+        if found.is_empty()
+            && let Some(stage) = left_out
+        {
+            // What may be left out is left out together with the stage that makes it.
+            if input.arity != Arity::Optional {
+                self.filler.problems.add(|| {
+                    let message = format!(
+                        "input `{}` of stage `{}` is wired to stage `{stage}`, whose matrix leaves these instances out",
+                        input.name, consumer.stage
+                    );
+                    Problem::new(at, message)
+                        .hint("its `when`, `exclude` or `zip` does so; leave the same out here, with `when` or `exclude`")
+                });
+            }
             return None;
         }
         if !many && found.len() != 1 {

@@ -1,39 +1,114 @@
-//! From a tree of nodes to a [`Spec`]: knows every key of the language, and reports each that is unknown or misplaced.
+//! From trees of nodes, one for each file, to a [`Spec`]: knows every key of the language, and reports each that is unknown or misplaced.
 //!
 //! A misspelt key is reported and then taken for the one that was meant, so that it does not cause a second message
 //! about what is missing.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use super::SourceName;
 use super::layer::{self, Known};
 use super::limits;
-use super::model::{Defaults, Entries, Layer, MatrixAxis, Profile, Spec, Stage};
+use super::matrix;
+use super::model::{Defaults, Entries, Layer, Profile, Spec, Stage};
 use super::names;
 use super::node::{Key, Node, UNUSABLE, Value};
 use super::problem::{Problem, Problems};
 use super::source::{Source, Span};
 use super::suggest;
 
-const TOP: [&str; 7] = ["name", "seed", "params", "axes", "defaults", "stages", "profiles"];
-const STAGE: [&str; 9] =
-    ["kind", "about", "matrix", "seed", "with", "inputs", "retries", "timeout", "memory"];
+const TOP: [&str; 8] = ["name", "include", "seed", "params", "axes", "defaults", "stages", "profiles"];
+const STAGE: [&str; 10] =
+    ["kind", "about", "matrix", "when", "seed", "with", "inputs", "retries", "timeout", "memory"];
 
-/// Decodes the whole file.
-pub(super) fn spec(root: Node, name: SourceName, source: Arc<Source>, mut problems: Problems) -> Spec {
+/// A file by itself.
+pub(super) struct File {
+    at: Span,
+    name: Option<(Key, Node)>,
+    base: Layer,
+    stages: Vec<Stage>,
+    profiles: Option<(Key, Node)>,
+    /// The files that it includes, with the place of each.
+    pub include: Vec<Key>,
+}
+
+/// Decodes one file. Its profiles wait until all files are there: they may change what another file brings along.
+pub(super) fn file(root: Node, is_included: bool, problems: &mut Problems) -> File {
     let at = root.span;
-    let mut top = Fields::read(root, &TOP, "the pipeline file", &mut problems);
-    let pipeline = pipeline_name(top.take("name"), at, &mut problems);
+    let mut top = Fields::read(root, &TOP, "the pipeline file", problems);
     let mut base = Layer { seed: top.take("seed").map(|(_, node)| node), ..Layer::default() };
-    base.params = Entries::new(named(top.take("params"), "param", &mut problems));
-    base.axes = Entries::new(named(top.take("axes"), "axis", &mut problems));
-    base.defaults = layer::defaults(top.take("defaults").map(|(_, node)| node), &mut problems);
-    let stages = stages(top.take("stages"), at, &mut problems);
-    let known = Known::new(&base, &stages);
-    let profiles = profiles(top.take("profiles"), &known, &mut problems);
-    clashes(&base, &stages, &mut problems);
-    Spec { name, source, problems, pipeline, base, stages, profiles }
+    base.params = Entries::new(named(top.take("params"), "param", problems));
+    base.axes = Entries::new(named(top.take("axes"), "axis", problems));
+    base.defaults = layer::defaults(top.take("defaults").map(|(_, node)| node), problems);
+    let include = top.take("include").map(|(key, node)| included(key, node, problems)).unwrap_or_default();
+    // A file of shared stages needs none of its own, and neither does one that only includes.
+    let field = top.take("stages");
+    let may_lack = field.is_none() && (is_included || !include.is_empty());
+    let stages = if may_lack { Vec::new() } else { stages(field, at, problems) };
+    File { at, name: top.take("name"), base, stages, profiles: top.take("profiles"), include }
+}
+
+/// Puts files together, an included one before the file that includes it; the last one is the pipeline file.
+pub(super) fn spec(
+    files: Vec<File>,
+    name: SourceName,
+    sources: Vec<Arc<Source>>,
+    mut problems: Problems,
+) -> Spec {
+    let mut pipeline = String::new();
+    let count = files.len();
+    let (mut layers, mut all, mut profiles) = (Vec::new(), Vec::new(), Vec::new());
+    for (number, file) in files.into_iter().enumerate() {
+        if number + 1 == count {
+            pipeline = pipeline_name(file.name, file.at, &mut problems);
+        }
+        layers.push(file.base);
+        profiles.push(file.profiles);
+        for stage in file.stages {
+            add_stage(stage, &mut all, &mut problems);
+        }
+    }
+    let names = |of: fn(&Layer) -> &Entries| {
+        let mut seen = HashSet::new();
+        let entries = layers.iter().flat_map(|layer| of(layer).iter());
+        Entries::new(entries.filter(|(key, _)| seen.insert(key.text.clone())).cloned().collect())
+    };
+    let base =
+        Layer { params: names(|layer| &layer.params), axes: names(|layer| &layer.axes), ..Layer::default() };
+    let known = Known::new(&base, &all);
+    let profiles = merged_profiles(profiles, &known, &mut problems);
+    clashes(&base, &all, &mut problems);
+    Spec { name, sources, problems, pipeline, base, files: layers, stages: all, profiles }
+}
+
+fn add_stage(stage: Stage, all: &mut Vec<Stage>, problems: &mut Problems) {
+    match all.iter().find(|other| other.name.text == stage.name.text) {
+        Some(other) => problems.add(|| {
+            Problem::new(stage.name.span, format!("another file has a stage `{}` too", stage.name.text))
+                .related(other.name.span, "the other")
+                .hint("rename one of the two; to change the other's parameters, use `defaults`, `params` or a profile")
+        }),
+        None => all.push(stage),
+    }
+}
+
+/// The paths under `include`: one, or a list.
+fn included(key: Key, node: Node, problems: &mut Problems) -> Vec<Key> {
+    let node = placed(key, node);
+    let items = if let Value::List(items) = node.value { items } else { vec![node] };
+    let mut paths = Vec::new();
+    for item in items {
+        match item.value {
+            Value::Text(text) if !text.is_empty() && !text.contains('\0') => {
+                paths.push(Key { text, span: item.span });
+            }
+            _ => problems.add(|| {
+                Problem::new(item.span, format!("`include` is {}, expected the path of a file", item.describe()))
+                    .hint("as in `include: experts.yaml`; paths are relative to the folder of the file that says so")
+            }),
+        }
+    }
+    paths
 }
 
 /// The fields of a map, taken out one by one.
@@ -117,7 +192,7 @@ fn named(field: Option<(Key, Node)>, what: &str, problems: &mut Problems) -> Vec
 }
 
 /// True where the key may name a param or an axis.
-fn value_name(key: &Key, what: &str, problems: &mut Problems) -> bool {
+pub(super) fn value_name(key: &Key, what: &str, problems: &mut Problems) -> bool {
     if names::RESERVED_VALUES.contains(&&*key.text) {
         problems.add(|| {
             Problem::new(
@@ -201,18 +276,20 @@ fn stage(name: Key, node: Node, problems: &mut Problems) -> Option<Stage> {
     {
         problems.add(|| Problem::new(key.span, format!("`about` is {}, expected a text", about.describe())));
     }
-    let matrix = fields.take("matrix").map(|(_, node)| matrix(node, problems)).unwrap_or_default();
+    let (matrix, mut rules) =
+        fields.take("matrix").map(|(_, node)| matrix::read(node, problems)).unwrap_or_default();
     let inputs =
         fields.take("inputs").map(|(_, node)| entries(node, "`inputs`", problems)).unwrap_or_default();
     let (retries, timeout, memory) = (fields.take("retries"), fields.take("timeout"), fields.take("memory"));
     let limits = limits::limits(retries, timeout, memory, problems);
     let mut optional = |field: &str| fields.take(field).map(|(key, node)| placed(key, node));
     let (seed, with) = (optional("seed"), optional("with"));
-    Some(Stage { name, kind, matrix, seed, with, inputs, limits })
+    rules.when = optional("when").filter(|node| !matches!(node.value, Value::Null));
+    Some(Stage { name, kind, matrix, rules, seed, with, inputs, limits })
 }
 
 /// The node; where nothing is written, it stands where its key does.
-fn placed(key: Key, mut node: Node) -> Node {
+pub(super) fn placed(key: Key, mut node: Node) -> Node {
     if node.span.is_empty() {
         node.span = key.span;
     }
@@ -243,63 +320,24 @@ fn stage_kind(name: &Key, field: Option<(Key, Node)>, problems: &mut Problems) -
     }
 }
 
-/// `[expert, seed]`, `{ k: [1, 2] }`, or a list that mixes names and such maps.
-fn matrix(node: Node, problems: &mut Problems) -> Vec<MatrixAxis> {
-    let mut axes = Vec::new();
-    match node.value {
-        Value::Null => {}
-        Value::List(items) => items.into_iter().for_each(|item| matrix_item(item, &mut axes, problems)),
-        Value::Map(_) => matrix_item(node, &mut axes, problems),
-        _ => problems.add(|| {
-            Problem::new(node.span, format!("`matrix` is {}, expected a list of axes", node.describe())).hint(
-                "write `matrix: [expert, seed]`, or `matrix: { k: [1, 2] }` for values of this stage only",
-            )
-        }),
-    }
-    let mut seen: Vec<MatrixAxis> = Vec::new();
-    for axis in axes {
-        match seen.iter().find(|earlier| earlier.name.text == axis.name.text) {
-            Some(earlier) => problems.add(|| {
-                Problem::new(
-                    axis.name.span,
-                    format!("the axis `{}` stands in this matrix twice", axis.name.text),
-                )
-                .related(earlier.name.span, "first")
-                .hint("remove one of the two")
-            }),
-            None => seen.push(axis),
-        }
-    }
-    seen
-}
-
-fn matrix_item(item: Node, axes: &mut Vec<MatrixAxis>, problems: &mut Problems) {
-    match item.value {
-        Value::Text(text) => axes.push(MatrixAxis { name: Key { text, span: item.span }, values: None }),
-        Value::Map(entries) => {
-            for (name, values) in entries {
-                if value_name(&name, "axis", problems) {
-                    axes.push(MatrixAxis { values: Some(placed(name.clone(), values)), name });
-                }
+/// The profiles of all files: those of the pipeline file come first, since its first one holds when none is chosen.
+fn merged_profiles(
+    files: Vec<Option<(Key, Node)>>,
+    known: &Known<'_>,
+    problems: &mut Problems,
+) -> Vec<Profile> {
+    let mut profiles: Vec<Profile> = Vec::new();
+    for (_, node) in files.into_iter().rev().flatten() {
+        for (name, node) in entries(node, "`profiles`", problems) {
+            if !identifier(&name, "profile", problems) {
+                continue;
             }
-        }
-        _ => problems.add(|| {
-            Problem::new(
-                item.span,
-                format!("found {} in a matrix, expected the name of an axis", item.describe()),
-            )
-            .hint("values of this stage only are written as `matrix: { k: [1, 2] }`")
-        }),
-    }
-}
-
-fn profiles(field: Option<(Key, Node)>, known: &Known<'_>, problems: &mut Problems) -> Vec<Profile> {
-    let Some((_, node)) = field else { return Vec::new() };
-    let mut profiles = Vec::new();
-    for (name, node) in entries(node, "`profiles`", problems) {
-        if identifier(&name, "profile", problems) {
             let layer = layer::overrides(node, known, &format!("profile `{}`", name.text), problems);
-            profiles.push(Profile { name, layer });
+            match profiles.iter_mut().find(|profile| profile.name.text == name.text) {
+                // What is included lies below.
+                Some(profile) => profile.layers.insert(0, layer),
+                None => profiles.push(Profile { name, layers: vec![layer] }),
+            }
         }
     }
     profiles

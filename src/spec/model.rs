@@ -16,12 +16,16 @@ use super::source::Source;
 #[derive(Clone, Debug)]
 pub struct Spec {
     pub(crate) name: SourceName,
-    pub(crate) source: Arc<Source>,
+    /// The file, and those that it includes.
+    pub(crate) sources: Vec<Arc<Source>>,
     pub(crate) problems: Problems,
     /// The pipeline's name; empty where it is missing.
     pub(crate) pipeline: String,
-    /// Seed, params, axes and defaults of the file itself; the stages' own `with` stand in `stages`.
+    /// Every param and axis by its name, with its first value: what there is.
     pub(crate) base: Layer,
+    /// Seed, params, axes and defaults of each file, those of an included file before those of the file that includes it.
+    /// The stages' own `with` stand in `stages`.
+    pub(crate) files: Vec<Layer>,
     pub(crate) stages: Vec<Stage>,
     pub(crate) profiles: Vec<Profile>,
 }
@@ -80,6 +84,7 @@ pub(crate) struct Stage {
     /// `None` where it is missing or no text, which is reported.
     pub kind: Option<Key>,
     pub matrix: Vec<MatrixAxis>,
+    pub rules: Rules,
     pub seed: Option<Node>,
     pub with: Option<Node>,
     pub inputs: Vec<(Key, Node)>,
@@ -92,6 +97,16 @@ pub(crate) struct MatrixAxis {
     pub name: Key,
     /// Values given here; `None` takes those under `axes`.
     pub values: Option<Node>,
+    /// The number of the `zip` that it stands in.
+    pub group: Option<usize>,
+}
+
+/// What adds to the product of a matrix, and what takes away from it.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Rules {
+    pub include: Option<Node>,
+    pub exclude: Option<Node>,
+    pub when: Option<Node>,
 }
 
 /// What all stages of a kind share.
@@ -117,5 +132,6 @@ pub(crate) struct Layer {
 #[derive(Clone, Debug)]
 pub(crate) struct Profile {
     pub name: Key,
-    pub layer: Layer,
+    /// Of each file that has it, in the order of files.
+    pub layers: Vec<Layer>,
 }

@@ -41,6 +41,8 @@ pub(crate) struct Source {
     pub text: Arc<str>,
     /// An argument has neither lines nor columns.
     pub is_argument: bool,
+    /// The folder of an included file, relative to that of the pipeline file, with a `/` at its end; else empty.
+    pub folder: String,
     /// Where lines begin, so that the line of a byte is found without reading the text again.
     lines: Vec<u32>,
 }
@@ -63,6 +65,13 @@ impl Source {
         Self::new(name.to_owned(), text, false)
     }
 
+    /// A file that is included: `path` is relative to the folder of the pipeline file, which is called `main`.
+    pub fn included(main: &str, path: &str, text: &str) -> Self {
+        let beside = main.rfind('/').map_or("", |slash| &main[..=slash]);
+        let folder = path.rfind('/').map_or("", |slash| &path[..=slash]);
+        Self { folder: folder.to_owned(), ..Self::new(format!("{beside}{path}"), text, false) }
+    }
+
     /// An argument after `option`, as in `--set`.
     pub fn argument(option: &str, text: &str) -> Self {
         Self::new(format!("argument `{option}`"), text, true)
@@ -71,7 +80,7 @@ impl Source {
     fn new(name: String, text: &str, is_argument: bool) -> Self {
         let ends = text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n').map(|(at, _)| at + 1);
         let lines = std::iter::once(0).chain(ends).map(|at| u32::try_from(at).unwrap_or(u32::MAX)).collect();
-        Self { name, text: text.into(), is_argument, lines }
+        Self { name, text: text.into(), is_argument, folder: String::new(), lines }
     }
 
     /// The line where `span` begins.
@@ -116,12 +125,12 @@ fn floor(text: &str, at: usize) -> usize {
 pub(crate) struct Sources(Vec<Arc<Source>>);
 
 impl Sources {
-    /// With the pipeline file as source 0.
-    pub fn new(file: Arc<Source>) -> Self {
-        Self(vec![file])
+    /// The pipeline file, as source 0, and those that it includes.
+    pub fn of(files: &[Arc<Source>]) -> Self {
+        Self(files.to_vec())
     }
 
-    /// Adds an argument and gives its number.
+    /// Adds a source and gives its number.
     pub fn add(&mut self, source: Source) -> u16 {
         self.0.push(Arc::new(source));
         u16::try_from(self.0.len() - 1).unwrap_or(u16::MAX)

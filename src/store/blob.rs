@@ -3,11 +3,15 @@
 use std::fs::File;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use rayon::prelude::*;
 
 use super::{Digest, Run, Store, StoreError};
 use crate::fsx::{self, Entry, FsError};
+
+/// Copies from outside that this process has begun.
+pub(super) static COPIES: AtomicU64 = AtomicU64::new(0);
 
 /// The name and length of a file's content.
 ///
@@ -79,7 +83,9 @@ impl Store {
         {
             return Ok(());
         }
-        let copy = run.temporary().join(format!("import-{digest}"));
+        // Several stages may bring in the same file at once, each its own copy.
+        let number = COPIES.fetch_add(1, Ordering::Relaxed);
+        let copy = run.temporary().join(format!("import-{number}-{digest}"));
         let mut hashing = Hashing { file: fsx::open(path)?, hasher: blake3::Hasher::new() };
         fsx::copy_from(&mut hashing, path, &copy)?;
         if hashing.hasher.finalize().as_bytes() != digest.as_bytes() {

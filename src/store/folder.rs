@@ -15,6 +15,7 @@ use std::collections::HashSet;
 use std::ffi::OsString;
 use std::os::unix::ffi::{OsStrExt, OsStringExt};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
 
 use rayon::prelude::*;
 
@@ -203,7 +204,8 @@ impl Store {
     pub fn import_folder(&self, path: &Path, folder: &Folder, run: &Run) -> Result<(), StoreError> {
         let files: Vec<(&Path, FolderFile)> = folder.files().collect();
         files.par_iter().try_for_each(|(inside, file)| self.import(&path.join(inside), &file.digest, run))?;
-        let draft = run.temporary().join(format!("list-{}", folder.digest()));
+        let number = super::blob::COPIES.fetch_add(1, Ordering::Relaxed);
+        let draft = run.temporary().join(format!("list-{number}"));
         Ok(self.take_list(folder, &draft)?.sync()?)
     }
 

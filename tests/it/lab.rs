@@ -189,6 +189,7 @@ fn reasons(why: &[Reason]) -> String {
         .iter()
         .map(|reason| match reason {
             Reason::New => "new".to_owned(),
+            Reason::Forced => "forced".to_owned(),
             Reason::Param { path, old, new } => {
                 let text = |value: &Option<String>| value.clone().unwrap_or_else(|| "-".to_owned());
                 format!("{path}: {} -> {}", text(old), text(new))
