@@ -5,10 +5,16 @@ use std::process::ExitCode;
 use dril_pipe::{cli, kinds};
 use dril_stage_api::{Kind, Registry, RegistryError};
 
+#[cfg(feature = "stages")]
+const EXTRAS: &[cli::Extra] =
+    &[cli::Extra { name: "env", about: dril_envs::command::ABOUT, run: dril_envs::command::run }];
+#[cfg(not(feature = "stages"))]
+const EXTRAS: &[cli::Extra] = &[];
+
 fn main() -> Result<ExitCode, RegistryError> {
     #[cfg(feature = "stages")]
     let kinds: Vec<Kind> = [&kinds::KINDS[..], &dril_kinds::KINDS, &dril_report::KINDS].concat();
     #[cfg(not(feature = "stages"))]
     let kinds: Vec<Kind> = kinds::KINDS.to_vec();
-    Ok(cli::run(Registry::new(kinds)?, std::env::args_os()))
+    Ok(cli::run_with(Registry::new(kinds)?, EXTRAS, std::env::args_os()))
 }

@@ -7,8 +7,11 @@ use dril_envs::gymnasium::{PythonHome, keep_python_in};
 use dril_pipe::cli::{self, Extra};
 use dril_stage_api::{Registry, RegistryError};
 
-const SERVICES: [Extra; 1] =
-    [Extra { name: "__replay", about: "a film of an episode", run: dril_learn::replay::command }];
+const SERVICES: [Extra; 1] = [Extra {
+    name: "__replay",
+    about: "a film of an episode",
+    run: |args| dril_learn::replay::command(args).into(),
+}];
 
 fn main() -> Result<ExitCode, RegistryError> {
     let (folder, python) = cli::python_folders();

@@ -362,9 +362,10 @@ fn seconds(text: &str) -> Result<f64, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use dril_stage_api::Reply;
 
     fn read_words(words: &str) -> Request {
-        let extra = Extra { name: "env", about: "environments", run: |_| Ok(String::new()) };
+        let extra = Extra { name: "env", about: "environments", run: |_| Reply::Done(String::new()) };
         read(words.split(' ').map(OsString::from).collect(), &[extra], false)
     }
 

@@ -30,7 +30,7 @@ use std::ffi::{OsStr, OsString};
 use std::path::Path;
 use std::process::ExitCode;
 
-use dril_stage_api::Registry;
+use dril_stage_api::{Registry, Reply};
 
 use crate::error::exit_codes;
 use crate::exec;
@@ -48,9 +48,8 @@ pub struct Extra {
     pub name: &'static str,
     /// One line for people.
     pub about: &'static str,
-    /// Does the work with the arguments after the name. The text is printed; an error's text is reported, with exit
-    /// code 1.
-    pub run: fn(&[OsString]) -> Result<String, String>,
+    /// Does the work with the arguments after the name.
+    pub run: fn(&[OsString]) -> Reply,
 }
 
 /// Runs the program: `args` with the program's name first.
@@ -133,14 +132,21 @@ fn own(command: &Command, registry: &Registry) -> ExitCode {
 }
 
 fn extra(extra: &Extra, args: &[OsString]) -> ExitCode {
-    match (extra.run)(args) {
-        Ok(text) => match print(&text) {
-            Ok(()) => ExitCode::SUCCESS,
-            Err(error) => ExitCode::from(error.kind().exit_code()),
-        },
-        Err(text) => {
-            print_error(&format!("error: {}\n", text.trim_end()));
-            ExitCode::from(exit_codes::STAGE_FAILED)
-        }
+    let (text, code) = match (extra.run)(args) {
+        Reply::Done(text) => return printed(&text, exit_codes::OK),
+        Reply::Failed(text) => return printed(&text, exit_codes::STAGE_FAILED),
+        Reply::Refused(text) => (text, exit_codes::STAGE_FAILED),
+        Reply::Usage(text) => (text, exit_codes::USAGE),
+        Reply::Io(text) => (text, exit_codes::IO),
+    };
+    print_error(&format!("error: {}\n", text.trim_end()));
+    ExitCode::from(code)
+}
+
+/// Prints an answer; `code` is the exit code where that works.
+fn printed(text: &str, code: u8) -> ExitCode {
+    match print(text) {
+        Ok(()) => ExitCode::from(code),
+        Err(error) => ExitCode::from(error.kind().exit_code()),
     }
 }

@@ -5,6 +5,7 @@
 //! - [`Ports`] declare typed inputs and outputs ([`Artifact`]); [`Needs`] what the stage takes of the machine.
 //! - [`Ctx`] is all that a running stage sees: seed, inputs, outputs, progress, checkpoint folder, cancellation.
 //! - [`Job`] is the same as a file, as the engine writes it for the child process that runs the stage.
+//! - [`Reply`] is how a subcommand that a stage crate brings along ends.
 //! - [`scores`] is the one artifact format that several stage crates share.
 //!
 //! This crate knows nothing of YAML, keys or the cache, and depends on no other package of the workspace.
@@ -19,6 +20,7 @@ mod params;
 mod ports;
 mod progress;
 mod registry;
+mod reply;
 pub mod scores;
 mod seed;
 mod stage;
@@ -34,5 +36,6 @@ pub use params::{ParamProblem, Problems};
 pub use ports::{Arity, Input, Output, Outside, Ports, port_name};
 pub use progress::{Message, Progress};
 pub use registry::{Registry, RegistryError};
+pub use reply::Reply;
 pub use seed::{Seed, StreamRng};
 pub use stage::{Describe, Stage};

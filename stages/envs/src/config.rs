@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::car_racing::CarRacing;
 use crate::gymnasium::{self, GymnasiumConfig};
+use crate::lunar_lander::LunarLander;
 use crate::{ActionSpace, Env, EnvError, ObservationSpace};
 
 /// Which environment, and its settings.
@@ -13,6 +14,8 @@ use crate::{ActionSpace, Env, EnvError, ObservationSpace};
 pub enum EnvConfig {
     /// The car on a random track, seen from above.
     CarRacing(CarRacingConfig),
+    /// The lander with two engines over a random ground, seen as 8 numbers.
+    LunarLander(LunarLanderConfig),
     /// An environment of Gymnasium or the Arcade Learning Environment, played by Python.
     Gymnasium(GymnasiumConfig),
 }
@@ -36,6 +39,28 @@ pub struct CarRacingConfig {
     /// every tile must be visited for `v0`, 0.95 for `v3`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lap_complete_percent: Option<f64>,
+}
+
+/// Settings of LunarLander: gym's LunarLanderContinuous-v2, which Gymnasium's v3 plays alike.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct LunarLanderConfig {
+    /// Steps (1/50 s each) after which an episode is cut off.
+    pub time_limit: u32,
+}
+
+impl Default for LunarLanderConfig {
+    fn default() -> Self {
+        Self { time_limit: 1000 }
+    }
+}
+
+impl LunarLanderConfig {
+    fn check(&self) -> Vec<(String, String)> {
+        let zero = (self.time_limit == 0)
+            .then(|| ("lunar-lander.time_limit".into(), "0 steps, expected at least 1".into()));
+        zero.into_iter().collect()
+    }
 }
 
 /// Whose picture and rules.
@@ -101,6 +126,10 @@ impl EnvConfig {
                 let env = |_| Box::new(CarRacing::new(config.clone())) as Box<dyn Env>;
                 Ok((0..count).map(env).collect())
             }
+            Self::LunarLander(config) => {
+                let env = |_| Box::new(LunarLander::new(config.clone())) as Box<dyn Env>;
+                Ok((0..count).map(env).collect())
+            }
             Self::Gymnasium(config) => gymnasium::build(config, count, workers),
         }
     }
@@ -113,6 +142,7 @@ impl EnvConfig {
     pub fn spaces(&self) -> Result<(ObservationSpace, ActionSpace), EnvError> {
         match self {
             Self::CarRacing(_) => Ok(CarRacing::SPACES),
+            Self::LunarLander(_) => Ok(LunarLander::SPACES),
             Self::Gymnasium(config) => gymnasium::spaces(config),
         }
     }
@@ -121,6 +151,7 @@ impl EnvConfig {
     pub fn action_labels(&self) -> Vec<String> {
         let labels: &[&str] = match self {
             Self::CarRacing(_) => &["steer", "brake | gas"],
+            Self::LunarLander(_) => &["main engine", "left | right"],
             Self::Gymnasium(config) => config.action_labels(),
         };
         labels.iter().map(|label| (*label).to_owned()).collect()
@@ -129,7 +160,7 @@ impl EnvConfig {
     /// Steps in a second of the environment's own time.
     pub fn steps_per_second(&self) -> f64 {
         match self {
-            Self::CarRacing(_) => 50.0,
+            Self::CarRacing(_) | Self::LunarLander(_) => 50.0,
             Self::Gymnasium(config) => config.steps_per_second(),
         }
     }
@@ -138,6 +169,7 @@ impl EnvConfig {
     pub fn picture_ratio(&self) -> f64 {
         match self {
             Self::CarRacing(_) => 1.25,
+            Self::LunarLander(_) => 1.5,
             Self::Gymnasium(config) => config.picture_ratio(),
         }
     }
@@ -146,6 +178,7 @@ impl EnvConfig {
     pub fn check(&self) -> Vec<(String, String)> {
         match self {
             Self::CarRacing(config) => config.check(),
+            Self::LunarLander(config) => config.check(),
             Self::Gymnasium(config) => config.check(),
         }
     }
@@ -164,6 +197,14 @@ mod tests {
             serde_json::to_string(&config).unwrap(),
             r#"{"car-racing":{"version":"v0","time_limit":1000}}"#
         );
+    }
+
+    #[test]
+    fn the_lander_has_a_time_limit_of_its_own() {
+        let config: EnvConfig = serde_json::from_str(r#"{"lunar-lander": {}}"#).unwrap();
+        assert_eq!(serde_json::to_string(&config).unwrap(), r#"{"lunar-lander":{"time_limit":1000}}"#);
+        let config = EnvConfig::LunarLander(LunarLanderConfig { time_limit: 0 });
+        assert_eq!(config.check()[0].0, "lunar-lander.time_limit");
     }
 
     #[test]

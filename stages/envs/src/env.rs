@@ -194,3 +194,16 @@ pub trait Env: Send {
     /// A size that cannot be drawn, or an environment that has no picture.
     fn render(&mut self, width: usize, height: usize) -> Result<Picture, EnvError>;
 }
+
+/// The action with its values clamped to [-1, 1].
+///
+/// # Errors
+/// Wrong length, or NaN.
+pub(crate) fn checked<const DIMS: usize>(action: &[f32]) -> Result<[f32; DIMS], EnvError> {
+    let action: [f32; DIMS] =
+        action.try_into().map_err(|_| EnvError::ActionLength { seen: action.len(), expected: DIMS })?;
+    match action.iter().position(|value| value.is_nan()) {
+        Some(dimension) => Err(EnvError::ActionNan { dimension }),
+        None => Ok(action.map(|value| value.clamp(-1.0, 1.0))),
+    }
+}

@@ -1,29 +1,35 @@
-//! The environments: CarRacing on rapier2d, its renderer and the episode format.
+//! The environments: CarRacing and LunarLander on rapier2d, their pictures and the episode format.
 //!
 //! - [`Env`] is the contract; [`EnvConfig`] is `env:` of the pipeline file and builds one; [`VecEnv`] steps several.
-//! - [`car_racing`] is the game, [`preprocess`] what the thesis makes of its picture, [`FrameStack`] its history.
+//! - [`car_racing`] and [`lunar_lander`] are the games, [`preprocess`] what the thesis makes of CarRacing's picture,
+//!   [`FrameStack`] its history.
 //! - [`Demonstrations`] is the file format of recorded episodes.
 //! - [`gymnasium`] is the bridge to environments in Python.
 //! - [`film`] makes films of episodes.
-//! - [`check`] compares the game with recordings of the original.
+//! - [`check`] compares the games with recordings of the originals; [`command`] does it from the command line.
 //!
 //! Randomness comes from the episode's seed only; nothing depends on threads or time. No libtorch here.
 
 pub mod area;
 pub mod car_racing;
 pub mod check;
+pub mod command;
 mod config;
+pub mod convex;
 mod demos;
 mod env;
 mod error;
 pub mod film;
 pub mod gymnasium;
+pub mod lunar_lander;
+mod mass;
 mod picture;
 pub mod preprocess;
+pub mod raster;
 mod stack;
 mod vec_env;
 
-pub use config::{CarRacingConfig, CarRacingVersion, EnvConfig};
+pub use config::{CarRacingConfig, CarRacingVersion, EnvConfig, LunarLanderConfig};
 pub use demos::{ActionRange, Demonstrations, DemosError, DemosHeader, Episode};
 pub use env::{ActionSpace, Env, EnvSnapshot, Frame, ObservationSpace, Outcome, OwnedFrame, Step};
 pub use error::EnvError;

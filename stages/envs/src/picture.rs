@@ -15,7 +15,21 @@ pub struct Picture {
     pub rgb: Vec<u8>,
 }
 
+/// Largest side of a picture that is drawn for people.
+const MOST_PIXELS: usize = 4096;
+
 impl Picture {
+    /// Refuses sizes that cannot be drawn.
+    ///
+    /// # Errors
+    /// A side of 0 pixels, or of more than 4096.
+    pub fn check_size(width: usize, height: usize) -> Result<(), EnvError> {
+        if [width, height].iter().all(|side| (1..=MOST_PIXELS).contains(side)) {
+            return Ok(());
+        }
+        Err(EnvError::Picture(format!("{width} x {height} pixels, expected 1 to {MOST_PIXELS} a side")))
+    }
+
     /// A black picture.
     pub fn new(width: usize, height: usize) -> Self {
         Self { width, height, rgb: vec![0; width * height * 3] }

@@ -39,6 +39,8 @@ fn recorded_draws_give_the_recorded_track() {
 fn own_seeds_give_tracks_like_the_original() {
     holds("own tracks", "attempts accepted", 1.5);
     holds("own tracks", "tiles", 4.0);
+    holds("own tracks", "length off 3.5 a tile, mean share", 0.01);
+    holds("own tracks", "mean turn off recorded", 15.0);
 }
 
 #[test]

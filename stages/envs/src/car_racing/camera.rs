@@ -1,7 +1,7 @@
 //! The camera: from the world to the original's window of 1000 x 800 and on to the picture.
 
-use super::raster::Dot;
 use super::scene::Scene;
+use crate::raster::Dot;
 
 /// The original's window, in its pixels; its y runs up.
 pub const WINDOW: [f64; 2] = [1000.0, 800.0];

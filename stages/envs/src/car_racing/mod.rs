@@ -6,13 +6,11 @@
 
 pub mod camera;
 pub mod car;
-pub mod convex;
 mod grass;
 mod indicators;
 pub mod paint;
 pub mod palette;
 pub mod positions;
-pub mod raster;
 pub mod render;
 pub mod scene;
 pub mod shape;
@@ -26,6 +24,7 @@ pub mod world;
 use dril_stage_api::Seed;
 use rand::Rng;
 
+use crate::env::checked;
 use crate::preprocess::{self, FULL, SIDE};
 use crate::{
     ActionSpace, CarRacingConfig, Env, EnvError, EnvSnapshot, Frame, ObservationSpace, Picture, Step,
@@ -39,8 +38,6 @@ use track::{DRAWS, Track};
 const DIMS: usize = 2;
 /// Attempts after which the track draws cannot be uniform: one in ten fails.
 const MOST_ATTEMPTS: usize = 1000;
-/// Largest side of a picture for people.
-const MOST_PIXELS: usize = 4096;
 /// Samples per pixel and axis of a picture for people.
 const PICTURE_SAMPLES: usize = 3;
 
@@ -137,15 +134,6 @@ fn unit_interval(bits: u64) -> f64 {
     (bits >> 11) as f64 / (1u64 << 53) as f64
 }
 
-fn checked(action: &[f32]) -> Result<[f32; DIMS], EnvError> {
-    let action: [f32; DIMS] =
-        action.try_into().map_err(|_| EnvError::ActionLength { seen: action.len(), expected: DIMS })?;
-    match action.iter().position(|value| value.is_nan()) {
-        Some(dimension) => Err(EnvError::ActionNan { dimension }),
-        None => Ok(action.map(|value| value.clamp(-1.0, 1.0))),
-    }
-}
-
 impl Env for CarRacing {
     fn observation_space(&self) -> ObservationSpace {
         Self::SPACES.0
@@ -205,10 +193,7 @@ impl Env for CarRacing {
 
     fn render(&mut self, width: usize, height: usize) -> Result<Picture, EnvError> {
         let episode = self.episode.as_ref().ok_or(EnvError::NotStarted)?;
-        if !(1..=MOST_PIXELS).contains(&width) || !(1..=MOST_PIXELS).contains(&height) {
-            let message = format!("{width} x {height} pixels, expected 1 to {MOST_PIXELS} a side");
-            return Err(EnvError::Picture(message));
-        }
+        Picture::check_size(width, height)?;
         let size = [width, height];
         let mut renderer = Renderer::with_samples(self.config.version, Output::Rgb, size, PICTURE_SAMPLES);
         renderer.draw(episode.simulation.track(), &episode.simulation.scene());

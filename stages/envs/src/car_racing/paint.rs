@@ -2,12 +2,12 @@
 
 use super::camera::Camera;
 use super::palette::{self, Colour, Inks};
-use super::raster::Canvas;
 use super::scene::Scene;
 use super::shape::{HULL, MOST_CORNERS, WHEEL_HALF};
 use super::track::Track;
 use super::tyre::SIZE;
 use super::world::Motion;
+use crate::raster::Canvas;
 
 /// Farthest that tile and kerb reach from the tile's way point, world units.
 const TILE_REACH: f64 = 10.0;

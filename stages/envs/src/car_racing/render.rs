@@ -8,11 +8,11 @@ use super::camera::{Camera, WINDOW};
 use super::indicators;
 use super::paint::Painter;
 use super::palette::{self, Inks};
-use super::raster::{Canvas, Sampling};
 use super::scene::Scene;
 use super::text::Text;
 use super::track::Track;
 use crate::CarRacingVersion;
+use crate::raster::{Canvas, Sampling, average};
 
 /// Rows of the bar in eighths of the picture.
 const BAR: usize = 8;
@@ -124,32 +124,6 @@ impl Renderer {
                 let colours = &self.colours;
                 average(&self.canvas, samples, loss, |ink| colours[ink as usize], &mut self.pixels);
             }
-        }
-    }
-}
-
-/// Averages squares of `samples` x `samples`; `look_up` gives the channels of a sample.
-fn average<const N: usize>(
-    canvas: &Canvas,
-    samples: usize,
-    loss: u8,
-    look_up: impl Fn(u8) -> [u8; N],
-    to: &mut [u8],
-) {
-    let columns = canvas.width() / samples;
-    for (at, pixel) in to.chunks_exact_mut(N).enumerate() {
-        let (row, column) = (at / columns, at % columns);
-        let mut sums = [0u32; N];
-        for line in row * samples..(row + 1) * samples {
-            let from = line * canvas.width() + column * samples;
-            for ink in &canvas.pixels()[from..from + samples] {
-                for (sum, level) in sums.iter_mut().zip(look_up(*ink)) {
-                    *sum += u32::from(level);
-                }
-            }
-        }
-        for (level, sum) in pixel.iter_mut().zip(sums) {
-            *level = ((sum / (samples * samples) as u32) as u8).saturating_sub(loss);
         }
     }
 }

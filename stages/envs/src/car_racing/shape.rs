@@ -1,6 +1,7 @@
 //! The car's parts: outlines, masses and where the wheels sit.
 
 use super::tyre::SIZE;
+use crate::mass::{Mass, polygon_mass};
 
 /// The hull's four convex parts, in units of [`SIZE`], x to the right, y forward.
 pub const HULL: [&[[f64; 2]]; 4] = [
@@ -31,17 +32,6 @@ pub const WHEEL_HALF: [f64; 2] = [14.0, 27.0];
 const HULL_DENSITY: f64 = 1.0;
 const WHEEL_DENSITY: f64 = 0.1;
 
-/// Mass, centre of mass (body frame) and moment of inertia about it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Mass {
-    /// Mass.
-    pub mass: f64,
-    /// Centre of mass, world units from the body's origin.
-    pub centre: [f64; 2],
-    /// Moment of inertia about the centre of mass.
-    pub inertia: f64,
-}
-
 /// The hull's mass: its parts overlap, and the overlaps count twice as in the original.
 pub fn hull_mass() -> Mass {
     let parts = HULL.map(|part| {
@@ -62,24 +52,6 @@ pub fn hull_mass() -> Mass {
 pub fn wheel_mass() -> Mass {
     let [w, h] = WHEEL_HALF.map(|half| half * SIZE);
     polygon_mass(&[[-w, -h], [w, -h], [w, h], [-w, h]], WHEEL_DENSITY)
-}
-
-/// Sums over the triangles from the origin (signed areas, so the origin may lie outside).
-fn polygon_mass(corners: &[[f64; 2]], density: f64) -> Mass {
-    let (mut area, mut first, mut second) = (0.0, [0.0; 2], 0.0);
-    for (i, p) in corners.iter().enumerate() {
-        let q = &corners[(i + 1) % corners.len()];
-        let cross = p[0] * q[1] - q[0] * p[1];
-        area += cross / 2.0;
-        for axis in 0..2 {
-            first[axis] += cross / 6.0 * (p[axis] + q[axis]);
-            second += cross / 12.0 * (p[axis] * p[axis] + p[axis] * q[axis] + q[axis] * q[axis]);
-        }
-    }
-    let centre = first.map(|moment| moment / area);
-    let mass = density * area.abs();
-    let about_origin = density * second.abs();
-    Mass { mass, centre, inertia: about_origin - mass * (centre[0] * centre[0] + centre[1] * centre[1]) }
 }
 
 #[cfg(test)]

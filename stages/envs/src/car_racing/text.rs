@@ -3,8 +3,8 @@
 
 use super::camera::WINDOW;
 use super::palette::{self, Inks};
-use super::raster::Canvas;
 use crate::CarRacingVersion;
+use crate::raster::Canvas;
 
 /// How the text is set, window pixels, y up.
 #[derive(Clone, Copy, Debug)]

@@ -9,8 +9,9 @@ use rapier2d::prelude::{
 };
 
 use super::positions::{self, BODIES, Pose, Positions, Velocity, anchor, rotate};
-use super::shape::{self, Mass};
+use super::shape;
 use super::tyre::{DT, SIZE};
+use crate::mass::Mass;
 
 /// Strongest torque of a steering motor.
 const MOTOR_TORQUE: f32 = (180.0 * 900.0 * SIZE * SIZE) as f32;

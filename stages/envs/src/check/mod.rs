@@ -1,26 +1,16 @@
-//! Compares CarRacing with recordings of the original: tracks, motion, tiles, rewards and pictures.
+//! Compares the games with recordings of the originals: `dril-pipe env check`.
 //!
-//! A recording folder holds `car_tracks.npz`, `car_traces.npz`, `car_v0_frames.npz`, `car_frames.npz` and
-//! `car_meta.json`; a missing file leaves its part of the report out.
+//! A recording folder holds numpy archives ([`Npz`]) of one or several games; a missing file leaves its part of the
+//! [`Report`] out.
 
-mod chaos;
-mod contacts;
-mod driver;
-mod laps;
-mod motion;
+pub mod car_racing;
+pub mod lunar_lander;
 mod npz;
-mod own_tracks;
-mod pixels;
-mod recording;
 mod report;
-mod tracks;
-mod watched;
 
 use std::path::{Path, PathBuf};
 
-pub use driver::drive;
 pub use npz::{Array, Npz};
-pub use recording::{Meta, Recordings, Run};
 pub use report::{Report, Row};
 
 /// Why recordings cannot be compared.
@@ -53,19 +43,41 @@ pub enum CheckError {
     },
 }
 
-/// Replays every CarRacing recording of a folder.
+/// Replays every recording of a folder.
 ///
 /// # Errors
 /// The folder has no recordings, or one of them cannot be read.
 pub fn run(folder: &Path) -> Result<Report, CheckError> {
-    let recordings = Recordings::open(folder)?;
+    std::fs::read_dir(folder).map_err(|source| CheckError::Io { path: folder.to_owned(), source })?;
     let mut report = Report::default();
-    tracks::check(&recordings, &mut report)?;
-    own_tracks::check(&recordings, &mut report)?;
-    motion::check(&recordings, &mut report)?;
-    contacts::check(&recordings, &mut report)?;
-    chaos::check(&recordings, &mut report)?;
-    laps::check(&recordings, &mut report)?;
-    pixels::check(&recordings, &mut report)?;
-    Ok(report)
+    let mut found = false;
+    if let Some(recordings) = car_racing::Recordings::open(folder)? {
+        found = true;
+        report.begin("car-racing");
+        car_racing::run(&recordings, &mut report)?;
+    }
+    if let Some(recordings) = lunar_lander::Recordings::open(folder)? {
+        found = true;
+        report.begin("lunar-lander");
+        lunar_lander::run(&recordings, &mut report)?;
+    }
+    if found {
+        Ok(report)
+    } else {
+        Err(CheckError::Empty {
+            path: folder.to_owned(),
+            expected: [&car_racing::FILES[..], &[lunar_lander::FILE]].concat().join(", "),
+        })
+    }
+}
+
+/// The results of a game's runs; none where the file is not there.
+fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<Option<T>, CheckError> {
+    if !path.exists() {
+        return Ok(None);
+    }
+    let text = std::fs::read(path).map_err(|source| CheckError::Io { path: path.to_owned(), source })?;
+    serde_json::from_slice(&text)
+        .map(Some)
+        .map_err(|error| CheckError::Format { name: path.display().to_string(), message: error.to_string() })
 }

@@ -118,6 +118,33 @@ impl Canvas {
     }
 }
 
+/// Averages squares of `samples` x `samples` into `to`, row-major; `look_up` gives the channels of a sample, `loss` is
+/// taken off every level.
+pub fn average<const N: usize>(
+    canvas: &Canvas,
+    samples: usize,
+    loss: u8,
+    look_up: impl Fn(u8) -> [u8; N],
+    to: &mut [u8],
+) {
+    let columns = canvas.width() / samples;
+    for (at, pixel) in to.chunks_exact_mut(N).enumerate() {
+        let (row, column) = (at / columns, at % columns);
+        let mut sums = [0u32; N];
+        for line in row * samples..(row + 1) * samples {
+            let from = line * canvas.width() + column * samples;
+            for ink in &canvas.pixels()[from..from + samples] {
+                for (sum, level) in sums.iter_mut().zip(look_up(*ink)) {
+                    *sum += u32::from(level);
+                }
+            }
+        }
+        for (level, sum) in pixel.iter_mut().zip(sums) {
+            *level = ((sum / (samples * samples) as u32) as u8).saturating_sub(loss);
+        }
+    }
+}
+
 /// Notes where an edge crosses the middle of each row.
 fn follow_edge(side: &mut [i64], upper: Dot, lower: Dot, floor: usize) {
     let rows = samples(upper[1], lower[1], floor);

@@ -1,19 +1,25 @@
 //! Do two convex polygons touch? As the original's engine sees it: every polygon has a thin skin.
 
 /// Distance up to which two polygons touch: two skins of a hundredth.
-const SKIN: f32 = 0.02;
+pub const SKIN: f32 = 0.02;
 
 /// A point, world units.
 pub type Point32 = [f32; 2];
 
 /// True where two convex polygons (corners in either turning direction) are closer than their skins.
 pub fn touches(a: &[Point32], b: &[Point32]) -> bool {
+    closer_than(a, b, SKIN)
+}
+
+/// True where two convex polygons (or a polygon and a segment) overlap or are at most `distance` apart.
+#[inline]
+pub fn closer_than(a: &[Point32], b: &[Point32], distance: f32) -> bool {
     let gap = widest_gap(a, b).max(widest_gap(b, a));
-    if gap > SKIN {
+    if gap > distance {
         return false;
     }
     // Corner against corner the true distance is more than any face's gap.
-    gap <= 0.0 || squared_distance(a, b) <= SKIN * SKIN
+    gap <= 0.0 || squared_distance(a, b) <= distance * distance
 }
 
 /// The largest distance by which all of `b` lies outside one face of `a`; negative where it lies outside none.
@@ -82,6 +88,14 @@ mod tests {
         assert!(touches(&UNIT, &moved(1.019, 0.0)));
         assert!(!touches(&UNIT, &moved(1.021, 0.0)));
         assert!(touches(&UNIT, &moved(0.2, 0.3)));
+    }
+
+    #[test]
+    fn a_segment_is_a_polygon_of_two_corners() {
+        let segment = |y: f32| [[-3.0, y], [4.0, y]];
+        assert!(closer_than(&UNIT, &segment(0.5), 0.0));
+        assert!(closer_than(&UNIT, &segment(1.1), 0.11) && !closer_than(&UNIT, &segment(1.1), 0.09));
+        assert!(!closer_than(&UNIT, &[[1.2, 0.0], [4.0, 0.0]], 0.1));
     }
 
     #[test]

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use serde::Deserialize;
 
+use super::super::read_json;
 use super::{Array, CheckError, Npz};
 use crate::car_racing::track::{DRAWS, Track};
 
@@ -62,14 +63,15 @@ pub struct Run {
     pub contacts: Array,
 }
 
-const FILES: [&str; 4] = ["car_tracks.npz", "car_traces.npz", "car_v0_frames.npz", "car_frames.npz"];
+/// The files looked for; without the first there is nothing to replay.
+pub const FILES: [&str; 4] = ["car_tracks.npz", "car_traces.npz", "car_v0_frames.npz", "car_frames.npz"];
 
 impl Recordings {
-    /// Reads what there is.
+    /// Reads what there is; none where no track was recorded.
     ///
     /// # Errors
-    /// No recordings, or one that cannot be read.
-    pub fn open(folder: &Path) -> Result<Self, CheckError> {
+    /// A file that cannot be read, or recordings without their tracks.
+    pub fn open(folder: &Path) -> Result<Option<Self>, CheckError> {
         let [tracks, traces, v0_frames, v3_frames] = FILES.map(|name| {
             let path = folder.join(name);
             path.exists().then(|| Npz::open(&path)).transpose()
@@ -79,13 +81,17 @@ impl Recordings {
             traces: traces?,
             v0_frames: v0_frames?,
             v3_frames: v3_frames?,
-            meta: meta(&folder.join("car_meta.json"))?,
+            meta: read_json(&folder.join("car_meta.json"))?,
         };
-        if found.tracks.is_none() {
-            let expected = FILES.join(", ");
-            return Err(CheckError::Empty { path: folder.to_owned(), expected });
+        match (&found.tracks, [&found.traces, &found.v0_frames, &found.v3_frames].iter().any(|f| f.is_some()))
+        {
+            (Some(_), _) => Ok(Some(found)),
+            (None, false) => Ok(None),
+            (None, true) => Err(CheckError::Format {
+                name: folder.join(FILES[0]).display().to_string(),
+                message: "is missing, and nothing else can be replayed without its tracks".into(),
+            }),
         }
-        Ok(found)
     }
 
     /// Seeds whose track was recorded.
@@ -148,14 +154,4 @@ impl Recordings {
             Err(CheckError::Format { name: run.key, message: "its arrays differ in length".into() })
         }
     }
-}
-
-fn meta(path: &Path) -> Result<Option<Meta>, CheckError> {
-    if !path.exists() {
-        return Ok(None);
-    }
-    let text = std::fs::read(path).map_err(|source| CheckError::Io { path: path.to_owned(), source })?;
-    serde_json::from_slice(&text)
-        .map(Some)
-        .map_err(|error| CheckError::Format { name: path.display().to_string(), message: error.to_string() })
 }

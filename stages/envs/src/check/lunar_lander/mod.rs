@@ -1,0 +1,23 @@
+//! LunarLander against recordings of the original: ground, start, flight, landings and returns.
+
+mod flight;
+mod landings;
+mod pilot;
+mod recording;
+mod start;
+
+pub use landings::own_landings;
+pub use pilot::fly;
+pub use recording::{FILE, Recordings, Run};
+
+use super::{Array, CheckError, Npz, Report};
+
+/// Replays every recording.
+///
+/// # Errors
+/// One of them cannot be read.
+pub fn run(recordings: &Recordings, report: &mut Report) -> Result<(), CheckError> {
+    start::check(recordings, report)?;
+    flight::check(recordings, report)?;
+    landings::check(recordings, report)
+}

@@ -1,0 +1,172 @@
+//! The game's rules: rewards, ends, faults, snapshots.
+
+use super::*;
+use crate::check::lunar_lander::fly;
+use crate::{EnvConfig, Outcome};
+use proptest::prelude::*;
+
+fn env(time_limit: u32) -> LunarLander {
+    LunarLander::new(LunarLanderConfig { time_limit })
+}
+
+/// Flies by what the pilot sees until the end: the last step, and the sum of the rewards.
+fn flown(env: &mut LunarLander, mut pilot: impl FnMut(&[f64; OBSERVED]) -> [f64; 2]) -> (Step, f64) {
+    let mut total = 0.0;
+    loop {
+        let action = pilot(env.simulation().unwrap().observation());
+        let step = env.step(&action.map(|v| v as f32)).unwrap();
+        total += step.reward;
+        if step.outcome.ended() {
+            return (step, total);
+        }
+    }
+}
+
+#[test]
+fn a_landing_pays_100_and_is_no_failure() {
+    let mut env = env(1000);
+    env.reset(3).unwrap();
+    let (last, total) = flown(&mut env, fly);
+    assert_eq!(last, Step { reward: 100.0, outcome: Outcome::Finished });
+    assert!((200.0..330.0).contains(&total), "{total}");
+    let observation = env.simulation().unwrap().observation();
+    assert_eq!(observation[6..], [1.0, 1.0]);
+    assert!(observation[1].abs() < 0.02, "{observation:?}");
+}
+
+#[test]
+fn a_crash_and_leaving_the_world_pay_minus_100() {
+    let mut crashes = 0;
+    for seed in 0..8 {
+        let mut env = env(1000);
+        env.reset(seed).unwrap();
+        let (last, _) = flown(&mut env, |_| [0.0; 2]);
+        assert_eq!(last, Step { reward: -100.0, outcome: Outcome::Failed });
+        crashes += usize::from(env.simulation().unwrap().observation()[0].abs() < 1.0);
+        // Steady thrust to one side leaves the world.
+        env.reset(seed).unwrap();
+        let (last, _) = flown(&mut env, |seen| [1.0, if seen[4] > -0.5 { 1.0 } else { -0.6 }]);
+        assert_eq!((last.reward, last.outcome), (-100.0, Outcome::Failed));
+    }
+    assert!(crashes > 4, "{crashes} of 8 fell on the ground");
+}
+
+#[test]
+fn rewards_are_changes_of_the_potential_less_fuel() {
+    let mut env = env(1000);
+    env.reset(1).unwrap();
+    let potential = |env: &LunarLander| {
+        let [x, y, vx, vy, angle, _, right, left] = *env.simulation().unwrap().observation();
+        10.0 * (right + left) - 100.0 * (x.hypot(y) + vx.hypot(vy) + angle.abs())
+    };
+    for (action, fuel) in [([0.0, 0.0], 0.0), ([1.0, 0.0], 0.3), ([0.5, -1.0], 0.225 + 0.03)] {
+        let before = potential(&env);
+        let reward = env.step(&action).unwrap().reward;
+        assert!((reward - (potential(&env) - before - fuel)).abs() < 1e-9, "{action:?}: {reward}");
+    }
+}
+
+#[test]
+fn the_time_limit_ends_an_episode_without_a_terminal_state() {
+    let mut env = env(3);
+    env.reset(1).unwrap();
+    let outcomes: Vec<_> = (0..3).map(|_| env.step(&[0.0, 0.0]).unwrap().outcome).collect();
+    assert_eq!(outcomes, [Outcome::Running, Outcome::Running, Outcome::TimeLimit]);
+    assert_eq!(env.step(&[0.0, 0.0]), Err(EnvError::Over { length: 3 }));
+}
+
+#[test]
+fn nan_is_refused_with_the_dimension_and_other_numbers_are_clamped() {
+    let mut env = env(10);
+    assert_eq!(env.step(&[0.0, 0.0]), Err(EnvError::NotStarted));
+    assert_eq!(env.render(60, 40).unwrap_err(), EnvError::NotStarted);
+    env.reset(0).unwrap();
+    assert_eq!(env.step(&[f32::NAN, 0.0]), Err(EnvError::ActionNan { dimension: 0 }));
+    assert_eq!(env.step(&[0.0; 3]), Err(EnvError::ActionLength { seen: 3, expected: 2 }));
+    assert_eq!(env.simulation().unwrap().steps(), 0);
+    env.step(&[f32::INFINITY, -7.0]).unwrap();
+    assert_eq!(env.snapshot().actions, [1.0, -1.0]);
+}
+
+#[test]
+fn one_seed_gives_one_episode_and_another_seed_another() {
+    let frame = |seed| {
+        let mut env = env(100);
+        // What came before does not matter.
+        env.reset(seed ^ 5).unwrap();
+        env.step(&[1.0, 1.0]).unwrap();
+        env.reset(seed).unwrap();
+        env.step(&[1.0, 1.0]).unwrap();
+        env.frame().to_owned()
+    };
+    assert_eq!(frame(8), frame(8));
+    assert_ne!(frame(8), frame(9));
+}
+
+#[test]
+fn the_noise_of_the_engines_is_drawn_whether_they_run_or_not() {
+    let after = |first: [f32; 2]| {
+        let mut env = env(100);
+        env.reset(2).unwrap();
+        env.step(&first).unwrap();
+        env.episode.as_mut().unwrap().dispersion.next_u64()
+    };
+    assert_eq!(after([0.0, 0.0]), after([1.0, 1.0]));
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(8))]
+    #[test]
+    fn a_restored_episode_goes_on_bit_by_bit(
+        seed: u64,
+        before in prop::collection::vec(prop::array::uniform2(-1.5f32..1.5), 0..40),
+        after in prop::collection::vec(prop::array::uniform2(-1.0f32..1.0), 1..10),
+    ) {
+        let mut one = env(1000);
+        one.reset(seed).unwrap();
+        for action in &before {
+            one.step(action).unwrap();
+        }
+        let mut other = env(1000);
+        other.restore(&one.snapshot()).unwrap();
+        prop_assert_eq!(one.frame(), other.frame());
+        for action in &after {
+            prop_assert_eq!(one.step(action), other.step(action));
+            prop_assert_eq!(one.frame(), other.frame());
+        }
+    }
+}
+
+#[test]
+fn a_snapshot_that_cannot_be_is_refused() {
+    let mut env = env(2);
+    let error = env.restore(&EnvSnapshot { seed: Some(0), actions: vec![0.0; 6] }).unwrap_err().to_string();
+    assert!(error.contains("3 actions, but the episode ends after 2"), "{error}");
+    let error = env.restore(&EnvSnapshot { seed: Some(0), actions: vec![0.0; 3] }).unwrap_err().to_string();
+    assert!(error.contains("1 values, expected 2"), "{error}");
+    env.restore(&EnvSnapshot::default()).unwrap();
+    assert_eq!(env.step(&[0.0, 0.0]), Err(EnvError::NotStarted));
+}
+
+#[test]
+fn the_picture_shows_sky_ground_flags_lander_and_flame() {
+    let mut env = EnvConfig::LunarLander(LunarLanderConfig::default()).build().unwrap();
+    env.reset(0).unwrap();
+    for _ in 0..20 {
+        env.step(&[1.0, 0.0]).unwrap();
+    }
+    let picture = env.render(300, 200).unwrap();
+    assert_eq!((picture.width, picture.height, picture.rgb.len()), (300, 200, 300 * 200 * 3));
+    let has = |colour: [u8; 3]| picture.rgb.chunks_exact(3).filter(|pixel| **pixel == colour).count();
+    // Sky, ground, flag, lander and flame, as the palette has them.
+    for (colour, least) in [
+        ([13, 15, 34], 10_000),
+        ([104, 102, 112], 5_000),
+        ([226, 178, 32], 10),
+        ([136, 112, 232], 50),
+        ([255, 132, 28], 10),
+    ] {
+        assert!(has(colour) >= least, "{colour:?}: {} pixels", has(colour));
+    }
+    assert!(env.render(0, 10).is_err() && env.render(10, 100_000).is_err());
+}
