@@ -27,6 +27,9 @@ const SWEEPS: [usize; 2] = [60, 20];
 const MOTOR_GAIN: f32 = 1e6;
 /// Thickness of the skin that the original's shapes have, world units.
 const SKIN: f32 = 0.01;
+/// A leg this close to its stop is there, radians: the original's legs are ahead of ours by up to that, since its motors
+/// overshoot in the first step.
+const AT_STOP: f32 = 1e-3;
 /// Generalised coordinates: x, y and angle of the lander, and the angle of each leg.
 const COORDINATES: usize = 5;
 /// Friction of the line below the ground.
@@ -118,7 +121,7 @@ impl LanderWorld {
         let Some((multibody, _)) = self.physics.multibody_joints.get_mut(self.joint) else { return };
         for (i, side) in SIDES.into_iter().enumerate() {
             let Some(link) = multibody.link_mut(i + 1) else { continue };
-            let stopped = side as f32 * link.joint.coords().z + LEG_SWING[0] as f32 >= 0.0;
+            let stopped = side as f32 * link.joint.coords().z + LEG_SWING[0] as f32 >= -AT_STOP;
             let speed = if stopped { 0.0 } else { (side * LEG_SPEED) as f32 };
             link.joint.data.motors[JointAxis::AngX as usize].target_vel = speed;
         }
