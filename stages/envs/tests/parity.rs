@@ -104,6 +104,30 @@ fn pictures_of_version_3_agree_in_98_of_100_pixels() {
 }
 
 #[test]
+fn the_lander_starts_as_the_original_s() {
+    for measure in ["ground", "lander's pose", "legs' angles", "velocities"] {
+        holds("start", measure, 1e-4);
+    }
+}
+
+#[test]
+fn the_falling_lander_is_within_a_thousandth_until_it_touches() {
+    holds("noop", "observations before contact", 1e-3);
+}
+
+#[test]
+fn the_pilot_lands_where_the_original_does_with_its_return() {
+    holds("heuristic", "not landed, closed loop", 0.0);
+    holds("heuristic", "return, closed loop", 5.0);
+}
+
+#[test]
+fn own_landings_are_as_many_and_as_good_as_the_original_s() {
+    holds("own seeds", "landing rate", 3.0);
+    holds("own seeds", "mean return", 3.0);
+}
+
+#[test]
 fn a_folder_without_recordings_is_an_error_that_names_them() {
     let folder = tempfile::tempdir().expect("a folder");
     let error = check::run(folder.path()).expect_err("there is nothing");

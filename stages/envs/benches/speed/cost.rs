@@ -68,10 +68,10 @@ fn car(seconds: f64) -> Result<(), EnvError> {
     let (mut simulation, mut step) = (driven(0, 0)?, 0);
     measure("car-racing: physics and tiles", seconds, || {
         step += 1;
-        if step % 500 == 0 || simulation.outcome().ended() {
-            if let Ok(next) = driven(step, 0) {
-                simulation = next;
-            }
+        if (step % 500 == 0 || simulation.outcome().ended())
+            && let Ok(next) = driven(step, 0)
+        {
+            simulation = next;
         }
         simulation.step(&controls(step))
     });

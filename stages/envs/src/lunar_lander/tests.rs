@@ -1,8 +1,8 @@
 //! The game's rules: rewards, ends, faults, snapshots.
 
 use super::*;
+use crate::Outcome;
 use crate::check::lunar_lander::fly;
-use crate::{EnvConfig, Outcome};
 use proptest::prelude::*;
 
 fn env(time_limit: u32) -> LunarLander {
@@ -150,11 +150,14 @@ fn a_snapshot_that_cannot_be_is_refused() {
 
 #[test]
 fn the_picture_shows_sky_ground_flags_lander_and_flame() {
-    let mut env = EnvConfig::LunarLander(LunarLanderConfig::default()).build().unwrap();
-    env.reset(0).unwrap();
-    for _ in 0..20 {
-        env.step(&[1.0, 0.0]).unwrap();
+    let mut env = env(1000);
+    env.reset(3).unwrap();
+    // Fly down into the picture, then fire.
+    for _ in 0..70 {
+        let action = fly(env.simulation().unwrap().observation());
+        env.step(&action.map(|v| v as f32)).unwrap();
     }
+    env.step(&[1.0, 0.0]).unwrap();
     let picture = env.render(300, 200).unwrap();
     assert_eq!((picture.width, picture.height, picture.rgb.len()), (300, 200, 300 * 200 * 3));
     let has = |colour: [u8; 3]| picture.rgb.chunks_exact(3).filter(|pixel| **pixel == colour).count();
