@@ -13,7 +13,8 @@ const EXTRAS: &[cli::Extra] = &[];
 
 fn main() -> Result<ExitCode, RegistryError> {
     #[cfg(feature = "stages")]
-    let kinds: Vec<Kind> = [&kinds::KINDS[..], &dril_kinds::KINDS, &dril_report::KINDS].concat();
+    let kinds: Vec<Kind> =
+        [&kinds::KINDS[..], &dril_kinds::KINDS, &dril_envs::KINDS, &dril_report::KINDS].concat();
     #[cfg(not(feature = "stages"))]
     let kinds: Vec<Kind> = kinds::KINDS.to_vec();
     Ok(cli::run_with(Registry::new(kinds)?, EXTRAS, std::env::args_os()))

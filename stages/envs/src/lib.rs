@@ -7,6 +7,7 @@
 //! - [`gymnasium`] is the bridge to environments in Python.
 //! - [`film`] makes films of episodes.
 //! - [`check`] compares the games with recordings of the originals; [`command`] does it from the command line.
+//! - [`Drive`] is the one stage kind of this package: laps of a scripted driver.
 //!
 //! Randomness comes from the episode's seed only; nothing depends on threads or time. No libtorch here.
 
@@ -17,6 +18,7 @@ pub mod command;
 mod config;
 pub mod convex;
 mod demos;
+mod drive;
 mod env;
 mod error;
 pub mod film;
@@ -31,8 +33,14 @@ mod vec_env;
 
 pub use config::{CarRacingConfig, CarRacingVersion, EnvConfig, LunarLanderConfig};
 pub use demos::{ActionRange, Demonstrations, DemosError, DemosHeader, Episode};
+pub use drive::{Drive, DriveParams};
 pub use env::{ActionSpace, Env, EnvSnapshot, Frame, ObservationSpace, Outcome, OwnedFrame, Step};
 pub use error::EnvError;
 pub use picture::Picture;
 pub use stack::FrameStack;
 pub use vec_env::{FinishedEpisode, VecEnv, VecEnvSlotSnapshot, VecEnvSnapshot, VecStep};
+
+use dril_stage_api::Kind;
+
+/// The stage kind of this crate.
+pub const KINDS: [Kind; 1] = [Kind::of::<Drive>()];

@@ -1,0 +1,248 @@
+//! `drive`: records laps of the scripted driver, so that imitation can be studied without training an expert first.
+//!
+//! The driver knows the track ahead, which no policy sees: what it does is a target to imitate, not a competitor.
+
+use dril_stage_api::{Artifact, Ctx, Describe, Needs, Ports, Problems, Seed, Stage, StageError};
+use rand_distr::{Distribution, Normal};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::car_racing::CarRacing;
+use crate::check::drive as steer;
+use crate::{
+    ActionRange, CarRacingConfig, Demonstrations, DemosHeader, Env, EnvConfig, EnvError, Episode, Frame,
+    Outcome,
+};
+
+/// Records laps of the scripted driver.
+#[derive(Clone, Copy, Debug)]
+pub struct Drive;
+
+/// What stands under `with:` of a `drive` stage.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct DriveParams {
+    /// The environment: CarRacing, the only one that the driver knows.
+    pub env: EnvConfig,
+    /// Episodes to keep.
+    #[serde(default = "twenty")]
+    pub episodes: u64,
+    /// Only episodes with a score above this are kept.
+    #[serde(default = "eight_hundred")]
+    pub above: f64,
+    /// Episodes to drive at most.
+    #[serde(default = "five_hundred")]
+    pub max_attempts: u64,
+    /// Attempt i is driven on the track of seed `first_track_seed` + i.
+    pub first_track_seed: u64,
+    /// Standard deviation of the noise that is added to the actions on their way to the car, but not to those in the
+    /// file: the driver is pushed off its line and shows how to get back (Laskey et al. 2017, "DART").
+    #[serde(default)]
+    pub noise: f64,
+}
+
+fn twenty() -> u64 {
+    20
+}
+
+fn five_hundred() -> u64 {
+    500
+}
+
+fn eight_hundred() -> f64 {
+    800.0
+}
+
+/// The largest noise that leaves something of the driver.
+const MOST_NOISE: f64 = 2.0;
+
+impl Describe for Drive {
+    const KIND: &'static str = "drive";
+    const REVISION: u32 = 1;
+    const ABOUT: &'static str = "records laps of CarRacing's scripted driver that score above a threshold";
+    type Params = DriveParams;
+
+    fn check(params: &DriveParams, problems: &mut Problems) {
+        for (field, message) in params.env.check() {
+            problems.add(&format!("env.{field}"), message);
+        }
+        if car_racing(&params.env).is_none() {
+            problems.add("env", "the scripted driver knows `car-racing` only");
+        }
+        problems.positive("episodes", params.episodes);
+        if params.max_attempts < params.episodes {
+            let (most, wanted) = (params.max_attempts, params.episodes);
+            let message =
+                format!("`max_attempts` is {most}, expected at least the {wanted} `episodes` to keep");
+            problems.add("max_attempts", message);
+        }
+        if params.first_track_seed.checked_add(params.max_attempts).is_none() {
+            problems.add("first_track_seed", "the last track's seed is beyond 64 bits; take a smaller one");
+        }
+        problems.range("noise", params.noise, 0.0..=MOST_NOISE, "a number from 0 to 2");
+    }
+
+    fn ports(_: &DriveParams) -> Ports {
+        Ports::new().output(
+            "demonstrations",
+            Artifact::Demonstrations,
+            "demos",
+            "the kept laps, actions as the driver meant them",
+        )
+    }
+
+    fn needs(params: &DriveParams) -> Needs {
+        Needs::seconds(0.5 + 0.1 * params.episodes as f64)
+    }
+}
+
+impl Stage for Drive {
+    type Kind = Self;
+
+    fn run(params: &DriveParams, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
+        let config = car_racing(&params.env)
+            .ok_or_else(|| StageError::failed("the scripted driver knows `car-racing` only"))?;
+        let mut env = CarRacing::new(config.clone());
+        let mut kept = Vec::new();
+        let mut best = f64::NEG_INFINITY;
+        for attempt in 0..params.max_attempts {
+            ctx.stop_if_cancelled()?;
+            let seed = ctx.seed().child(&format!("episode/{attempt}"));
+            let episode = lap(&mut env, params.first_track_seed + attempt, params.noise, seed)
+                .map_err(StageError::failed)?;
+            best = best.max(episode.score);
+            if episode.score > params.above {
+                kept.push(episode);
+            }
+            let found = kept.len() as u64;
+            ctx.progress(found, params.episodes, "episodes", || format!("{} attempts", attempt + 1));
+            if found == params.episodes {
+                let demonstrations = Demonstrations { header: header(params), episodes: kept };
+                return demonstrations.write(ctx.output("demonstrations")?).map_err(StageError::failed);
+            }
+        }
+        Err(StageError::failed(format!(
+            "{} of {} laps scored above {}, expected {}; the best scored {best:.1}: lower `above` or `noise`, or raise \
+             `max_attempts`",
+            kept.len(),
+            params.max_attempts,
+            params.above,
+            params.episodes
+        )))
+    }
+}
+
+fn car_racing(env: &EnvConfig) -> Option<&CarRacingConfig> {
+    match env {
+        EnvConfig::CarRacing(config) => Some(config),
+        _ => None,
+    }
+}
+
+fn header(params: &DriveParams) -> DemosHeader {
+    DemosHeader {
+        env: params.env.clone(),
+        observation_space: CarRacing::SPACES.0,
+        action_dims: CarRacing::SPACES.1.action_len(),
+        action_range: ActionRange::Bounded,
+        mode: "scripted".to_owned(),
+    }
+}
+
+/// One episode; the noise comes from the stream `noise` of `seed`.
+fn lap(env: &mut CarRacing, track_seed: u64, noise: f64, seed: Seed) -> Result<Episode, EnvError> {
+    let mut stream = seed.stream("noise");
+    // Its only errors are a standard deviation below 0 or not a number, which the parameters' check refuses.
+    let noise = Normal::new(0.0, noise).ok();
+    let mut episode = Episode {
+        seed: track_seed,
+        score: 0.0,
+        outcome: Outcome::Running,
+        frames: Vec::new(),
+        vectors: Vec::new(),
+        actions: Vec::new(),
+    };
+    env.reset(track_seed)?;
+    while !episode.outcome.ended() {
+        let controls = env.simulation().map(steer).ok_or(EnvError::NotStarted)?;
+        let action = [controls.steer as f32, (controls.gas - controls.brake) as f32];
+        if let Frame::Image(pixels) = env.frame() {
+            episode.frames.extend_from_slice(pixels);
+        }
+        episode.actions.extend(action);
+        let pushed = action.map(|value| match &noise {
+            Some(noise) => (value + noise.sample(&mut stream) as f32).clamp(-1.0, 1.0),
+            None => value,
+        });
+        let step = env.step(&pushed)?;
+        episode.score += step.reward;
+        episode.outcome = step.outcome;
+    }
+    Ok(episode)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dril_stage_api::testing::Bench;
+    use serde_json::json;
+
+    fn driven(params: serde_json::Value, seed: u64) -> Result<Demonstrations, StageError> {
+        let bench = Bench::new::<Drive>(&params, seed)?;
+        bench.run()?;
+        Ok(Demonstrations::read(&bench.output("demonstrations")?).unwrap())
+    }
+
+    #[test]
+    fn the_driver_finishes_its_laps_and_they_are_kept_with_what_was_seen_and_done() {
+        let params =
+            json!({ "env": { "car-racing": {} }, "episodes": 2, "above": 850, "first_track_seed": 7 });
+        let laps = driven(params, 1).unwrap();
+        assert_eq!(laps.episodes.len(), 2);
+        for lap in &laps.episodes {
+            assert!(lap.score > 850.0 && lap.score < 1000.0, "{}", lap.score);
+            assert!(lap.actions.iter().all(|action| (-1.0..=1.0).contains(action)));
+            assert_eq!(lap.frames.len(), lap.steps(2) * 84 * 84);
+        }
+    }
+
+    #[test]
+    fn noise_moves_the_car_and_not_the_recorded_actions() {
+        let params = |noise: f64| {
+            json!({
+                "env": { "car-racing": { "time_limit": 60 } },
+                "episodes": 1, "above": -200, "first_track_seed": 7, "noise": noise
+            })
+        };
+        let (calm, pushed) = (driven(params(0.0), 1).unwrap(), driven(params(0.3), 1).unwrap());
+        assert_eq!(calm, driven(params(0.0), 2).unwrap(), "without noise there is nothing to draw");
+        assert_eq!(pushed, driven(params(0.3), 1).unwrap());
+        assert_ne!(pushed, driven(params(0.3), 2).unwrap());
+        assert_eq!(calm.episodes[0].actions[..2], pushed.episodes[0].actions[..2], "the start is the same");
+        assert_ne!(calm.episodes[0].frames, pushed.episodes[0].frames);
+    }
+
+    #[test]
+    fn too_few_good_laps_are_an_error_that_says_what_to_change() {
+        let params = json!({
+            "env": { "car-racing": { "time_limit": 5 } },
+            "episodes": 1, "above": 900, "max_attempts": 2, "first_track_seed": 7
+        });
+        let message = driven(params, 1).unwrap_err().to_string();
+        for part in ["0 of 2 laps", "above 900", "the best scored", "`max_attempts`"] {
+            assert!(message.contains(part), "{message}");
+        }
+    }
+
+    #[test]
+    fn all_wrong_parameters_are_reported_at_once() {
+        let params = json!({
+            "env": { "car-racing": { "time_limit": 0 } },
+            "episodes": 9, "max_attempts": 3, "first_track_seed": u64::MAX, "noise": -1.0
+        });
+        let problems = dril_stage_api::Kind::of::<Drive>().normalize(&params).unwrap_err();
+        let mut paths: Vec<String> = problems.iter().map(|problem| problem.path.join(".")).collect();
+        paths.sort();
+        assert_eq!(paths, ["env.car-racing.time_limit", "first_track_seed", "max_attempts", "noise"]);
+    }
+}
