@@ -95,6 +95,23 @@ fn the_annexs_experts_are_those_of_the_thesis() {
 }
 
 #[test]
+fn the_lunar_lander_resolves_at_every_profile() {
+    for (profile, seeds) in [("full", 5), ("smoke", 2)] {
+        let counts = instances(&graph_of("lunar_lander.yaml", profile, &[]));
+        for (stage, count) in [
+            ("train-expert", 2 * seeds),
+            ("score-expert", 4 * seeds),
+            ("choose-expert", 1),
+            ("clone", 2),
+            ("dril", 2),
+            ("evaluate", 12),
+        ] {
+            assert_eq!(counts.get(stage), Some(&count), "{stage} at {profile}");
+        }
+    }
+}
+
+#[test]
 fn the_tables_read_the_evaluations_that_they_show() {
     let graph = graph("thesis", &[]);
     for (table, cells) in [("table12", 2), ("table20", 8), ("table22", 48)] {
