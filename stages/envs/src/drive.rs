@@ -8,7 +8,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::car_racing::CarRacing;
-use crate::check::drive as steer;
+use crate::car_racing::driver::drive as steer;
 use crate::{
     ActionRange, CarRacingConfig, Demonstrations, DemosHeader, Env, EnvConfig, EnvError, Episode, Frame,
     Outcome,

@@ -6,6 +6,7 @@
 
 pub mod camera;
 pub mod car;
+pub mod driver;
 mod grass;
 mod indicators;
 pub mod paint;

@@ -1,7 +1,7 @@
 //! The game's rules: rewards, ends, faults, snapshots and own tracks.
 
 use super::*;
-use crate::check::car_racing::drive;
+use crate::car_racing::driver::drive;
 use crate::{CarRacingVersion, EnvConfig, Outcome};
 use proptest::prelude::*;
 use track::PLAYFIELD;

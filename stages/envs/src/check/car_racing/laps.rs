@@ -1,9 +1,9 @@
 //! Whole laps by the driver of the recordings.
 
-use super::driver::drive;
 use super::motion::RULES;
 use super::{CheckError, Recordings, Report};
 use crate::Outcome;
+use crate::car_racing::driver::drive;
 use crate::car_racing::simulation::Simulation;
 
 /// Name of the script that a driver drives.

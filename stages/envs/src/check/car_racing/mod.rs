@@ -2,7 +2,6 @@
 
 mod chaos;
 mod contacts;
-mod driver;
 mod laps;
 mod motion;
 mod own_tracks;
@@ -11,7 +10,6 @@ mod recording;
 mod tracks;
 mod watched;
 
-pub use driver::drive;
 pub use recording::{FILES, Meta, Recordings, Run};
 
 use super::{Array, CheckError, Npz, Report};
