@@ -84,7 +84,9 @@ fn a_step_of_car_racing_with_picture_and_stack_allocates_only_inside_the_physics
             simulation.car_mut().step([true; 4]);
         });
         assert_eq!(whole, engine, "{version}: rules, picture or stack allocate");
-        assert!(engine <= 200 * 5, "{version}: {engine} allocations in 200 steps");
+        // Five in a release build; the engine's own debug assertions make one more.
+        let most = if cfg!(debug_assertions) { 6 } else { 5 };
+        assert!(engine <= 200 * most, "{version}: {engine} allocations in 200 steps");
     }
 }
 

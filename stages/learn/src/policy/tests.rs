@@ -101,7 +101,8 @@ fn a_network_that_does_not_fit_the_observation_is_refused_with_one_that_does() {
 fn short_numbers_give_nearly_the_same_gradients_and_leave_the_weights_as_they_are() {
     let mut policy = policy(Network::DrilCnn, PolicyFamily::Beta);
     let before = policy.params.values().to_vec();
-    let seen = Tensor::from_slice(&(0..4 * 64 * 441).map(|at| (at * at % 253) as f32).collect::<Vec<_>>());
+    let seen =
+        Tensor::from_slice(&(0..4_i64 * 64 * 441).map(|at| (at * at % 253) as f32).collect::<Vec<_>>());
     let seen = seen.view([4, 64, 21, 21]);
     let ids: Vec<_> = policy.params.ids().collect();
     let gradients = |policy: &Policy| -> Vec<f32> {
