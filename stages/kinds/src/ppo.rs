@@ -26,6 +26,16 @@ pub struct PpoParams {
     /// Environment steps in all, over all `envs`; a remainder below one rollout is not run.
     #[serde(default = "default::int::<5_000_000>")]
     pub total_steps: u64,
+    /// Where this stage takes up a training that several stages make one after the other: the steps that are done
+    /// when it begins. The learning rate stands where it would stand in one training of `total_steps`; the agent comes
+    /// from the input `policy`. Moments of Adam and episodes under way begin anew. A multiple of `envs` ×
+    /// `rollout_steps`.
+    #[serde(default, skip_serializing_if = "default::is")]
+    #[schemars(extend("default" = 0))]
+    pub from_step: u64,
+    /// Where this stage ends such a training; by default with `total_steps`.
+    #[serde(default, skip_serializing_if = "default::is")]
+    pub to_step: Option<u64>,
     /// Environments side by side.
     #[serde(default = "default::int::<8>")]
     pub envs: u64,
@@ -91,6 +101,31 @@ pub struct PpoParams {
 }
 
 impl PpoParams {
+    /// The step at which this stage ends.
+    pub fn to_step(&self) -> u64 {
+        self.to_step.unwrap_or(self.total_steps)
+    }
+
+    /// Reports a leg that is empty, too long, or does not begin and end between updates.
+    fn check_leg(&self, problems: &mut Problems) {
+        let update = self.envs.saturating_mul(self.rollout_steps).max(1);
+        for (field, value) in [("from_step", Some(self.from_step)), ("to_step", self.to_step)] {
+            if let Some(value) = value.filter(|value| value % update != 0) {
+                let message = format!(
+                    "`{field}` is {value}, expected a multiple of one rollout: {update} (`envs` × `rollout_steps`)"
+                );
+                problems.add(field, message);
+            }
+        }
+        let (from, to, total) = (self.from_step, self.to_step(), self.total_steps);
+        if to > total {
+            problems.add("to_step", format!("`to_step` is {to}, expected at most `total_steps`: {total}"));
+        } else if from.saturating_add(update) > to {
+            let message = format!("`from_step` is {from}, expected at least one rollout ({update}) less than {to}");
+            problems.add("from_step", message);
+        }
+    }
+
     /// The settings of an update.
     pub fn update(&self) -> UpdateSettings {
         UpdateSettings {
@@ -116,14 +151,20 @@ impl Describe for Ppo {
     fn check(params: &PpoParams, problems: &mut Problems) {
         check_env(&params.env, problems);
         check_run(params.total_steps, params.envs, params.rollout_steps, problems);
+        params.check_leg(problems);
         params.update().check(params.envs, params.rollout_steps, problems);
         problems.positive_number("learning_rate", params.learning_rate);
         problems.positive_number("adam_epsilon", params.adam_epsilon);
         problems.fraction("mean_action_probability", params.mean_action_probability);
     }
 
-    fn ports(_: &PpoParams) -> Ports {
-        Ports::new().output("policy", Artifact::Policy, "safetensors", "the trained agent").output(
+    fn ports(params: &PpoParams) -> Ports {
+        let ports = Ports::new();
+        let ports = match params.from_step {
+            0 => ports.optional("policy", Artifact::Policy, "the agent to begin with; left out: a new one"),
+            _ => ports.input("policy", Artifact::Policy, "the agent as it stood at `from_step`"),
+        };
+        ports.output("policy", Artifact::Policy, "safetensors", "the trained agent").output(
             "log",
             Artifact::TrainingLog,
             "csv",
@@ -132,7 +173,7 @@ impl Describe for Ppo {
     }
 
     fn needs(params: &PpoParams) -> Needs {
-        let steps = params.total_steps as f64;
+        let steps = params.to_step().saturating_sub(params.from_step) as f64;
         Needs::seconds(1.0 + steps / 3000.0 + steps * params.epochs as f64 / 2000.0)
     }
 }

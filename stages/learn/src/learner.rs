@@ -1,6 +1,8 @@
 //! The state that every training by reinforcement has: agent, optimizer, environments, rollout, and where it stands
 //! between them. It can be saved after every single step and minibatch.
 
+use std::ops::Range;
+
 use dril_envs::{FinishedEpisode, VecEnv};
 use dril_kinds::{Algorithm, Precision, UpdateSettings};
 use dril_stage_api::{Seed, StageError, StreamRng};
@@ -16,14 +18,16 @@ use crate::rollout::{Rollout, Sampler, SamplerSettings, SamplerState};
 use crate::update::{Update, UpdateStats};
 
 /// The settings of a [`Learner`]; see [`dril_kinds::PpoParams`] for each.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct LearnerSettings {
     /// Environments stepped together.
     pub envs: usize,
     /// Steps of each between two updates.
     pub rollout_steps: usize,
-    /// Environment steps in all; only whole updates are made.
+    /// Environment steps of the whole training, over which the learning rate falls; only whole updates are made.
     pub total_steps: u64,
+    /// The steps of it that this learner makes.
+    pub steps: Range<u64>,
     /// Adam's learning rate at the start.
     pub learning_rate: f64,
     /// True: it falls linearly to 0.
@@ -41,9 +45,13 @@ pub struct LearnerSettings {
 }
 
 impl LearnerSettings {
-    /// How many updates the steps make.
+    /// How many updates the whole training makes.
     pub fn updates(&self) -> u64 {
-        self.total_steps / (self.envs * self.rollout_steps) as u64
+        self.updates_in(self.total_steps)
+    }
+
+    fn updates_in(&self, steps: u64) -> u64 {
+        steps / (self.envs * self.rollout_steps) as u64
     }
 }
 
@@ -95,14 +103,14 @@ impl Learner {
         Self {
             adam: Adam::new(&policy.params, policy.params.ids().collect(), adam),
             rollout: Rollout::new(architecture.observation, architecture.action_len(), count, steps),
-            sampler: Sampler::new(envs, seed, settings.sampler),
+            sampler: Sampler::new(envs, seed, settings.sampler, policy.statistics.take()),
             minibatches: seed.stream("minibatch"),
             rewards: settings
                 .normalize_reward
                 .then(|| RewardNormalizer::clipped(count, settings.update.gamma)),
             policy,
+            updates_done: settings.updates_in(settings.steps.start),
             settings,
-            updates_done: 0,
             t: 0,
             update: None,
         }
@@ -118,22 +126,22 @@ impl Learner {
 
     /// True after the last update.
     pub fn finished(&self) -> bool {
-        self.updates_done == self.settings.updates()
+        self.updates_done >= self.settings.updates_in(self.settings.steps.end)
     }
 
-    /// Updates done.
+    /// Updates done, those before this learner's first step among them.
     pub fn updates_done(&self) -> u64 {
         self.updates_done
     }
 
-    /// Environment steps done.
+    /// Environment steps done, those before this learner's first among them.
     pub fn steps_done(&self) -> u64 {
         self.updates_done * self.rollout.len() as u64 + (self.t * self.rollout.envs) as u64
     }
 
-    /// Environment steps that the whole training makes.
-    pub fn total_steps(&self) -> u64 {
-        self.settings.updates() * self.rollout.len() as u64
+    /// Environment steps that are done when this learner has finished.
+    pub fn last_step(&self) -> u64 {
+        self.settings.updates_in(self.settings.steps.end) * self.rollout.len() as u64
     }
 
     /// The learning rate of this update.

@@ -13,7 +13,7 @@ use crate::learner::{LOG_COLUMNS, Learner, LearnerSettings, LearnerState, log_ro
 use crate::log::{RecentScores, Speed, TrainingLog};
 use crate::made_with;
 use crate::net::Network;
-use crate::policy::Policy;
+use crate::policy::{Architecture, Policy};
 use crate::rollout::SamplerSettings;
 use crate::spaces;
 use crate::tensorboard::Curves;
@@ -29,7 +29,7 @@ impl Stage for PpoStage {
         made_with::tell(ctx);
         let architecture =
             spaces::architecture(&params.env, params.policy, params.network, Network::ExpertCnn)?;
-        let policy = Policy::new(architecture, &mut ctx.stream("init"))?;
+        let policy = beginner(params, architecture, ctx)?;
         let envs = VecEnv::new(&params.env, params.envs as usize, 1).map_err(StageError::failed)?;
         let (policy, log) = train(params, policy, envs, ctx)?;
         ctx.write_output("policy", policy.to_bytes()?)?;
@@ -37,11 +37,35 @@ impl Stage for PpoStage {
     }
 }
 
+/// The agent that training begins with: the one that is handed in, or a new one.
+fn beginner(
+    params: &PpoParams,
+    architecture: Architecture,
+    ctx: &mut Ctx<'_>,
+) -> Result<Policy, StageError> {
+    let Some(path) = ctx.optional_input("policy") else {
+        return Policy::new(architecture, &mut ctx.stream("init"));
+    };
+    let policy = Policy::load("policy", path)?;
+    if policy.architecture() != architecture {
+        let (seen, wanted) = (policy.architecture(), architecture);
+        let message = format!("is an agent of {seen:?}, expected {wanted:?}, which `env`, `policy` and `network` ask for");
+        return Err(StageError::input("policy", path, message));
+    }
+    if policy.statistics.is_some() != params.normalize_observations {
+        let message = "has other statistics of observations than `normalize_observations` asks for; set that field as in \
+                       the stage that made the agent";
+        return Err(StageError::input("policy", path, message));
+    }
+    Ok(policy)
+}
+
 fn settings(params: &PpoParams) -> LearnerSettings {
     LearnerSettings {
         envs: params.envs as usize,
         rollout_steps: params.rollout_steps as usize,
         total_steps: params.total_steps,
+        steps: params.from_step..params.to_step(),
         learning_rate: params.learning_rate,
         anneal_learning_rate: params.anneal_learning_rate,
         adam_epsilon: params.adam_epsilon,
@@ -88,7 +112,7 @@ pub fn train(
     while !learner.finished() {
         while !learner.rollout_full() {
             learner.step()?.iter().for_each(|episode| scores.push(episode.score));
-            let (done, total) = (learner.steps_done(), learner.total_steps());
+            let (done, total) = (learner.steps_done(), learner.last_step());
             ctx.progress(done, total, "steps", || {
                 format!("score {:.0}, {:.0} steps/s", scores.mean(10), speed.at(done))
             });

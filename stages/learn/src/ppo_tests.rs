@@ -29,7 +29,7 @@ impl Stage for Tiny {
             _ => (Echo::several(count, 10, Outcome::TimeLimit), 1),
         };
         let architecture = Architecture { network: Network::Mlp, family, observation, actions };
-        let policy = Policy::new(architecture, &mut ctx.stream("init"))?;
+        let policy = beginner(params, architecture, ctx)?;
         let (policy, log) = train(params, policy, envs, ctx)?;
         ctx.write_output("policy", policy.to_bytes()?)?;
         ctx.write_output("log", log.to_csv()?)
@@ -207,4 +207,27 @@ fn the_stage_trains_on_pictures_and_its_agent_can_be_read() {
     let stopped = Bench::new::<PpoStage>(&params, 1).unwrap();
     stop_often(&stopped, 11);
     assert_eq!(outputs(&stopped, &OUTPUTS), made);
+}
+
+#[test]
+fn a_training_goes_on_where_another_stage_ended_it_with_the_learning_rate_of_the_whole() {
+    let leg = |from: u64, to: u64| {
+        let mut params = tiny("beta", 60);
+        params["from_step"] = json!(128 * from);
+        params["to_step"] = json!(128 * to);
+        params
+    };
+    let first = Bench::new::<Tiny>(&leg(0, 40), 1).unwrap();
+    let [policy, log]: [Vec<u8>; 2] = outputs(&first, &OUTPUTS).try_into().unwrap();
+    assert_eq!(cells(&log, "update").len(), 40);
+    let second = Bench::new::<Tiny>(&leg(40, 60), 2).unwrap();
+    let file = second.folder().join("first-leg.safetensors");
+    std::fs::write(&file, policy).unwrap();
+    let second = second.input("policy", &file, &[]);
+    let [_, log]: [Vec<u8>; 2] = outputs(&second, &OUTPUTS).try_into().unwrap();
+    assert_eq!(cells(&log, "step"), (41..=60).map(|n| f64::from(n * 128)).collect::<Vec<_>>());
+    let rates = cells(&log, "learning_rate");
+    assert!((rates[0] - 3e-3 / 3.0).abs() < 1e-12 && (rates[19] - 3e-3 / 60.0).abs() < 1e-12);
+    let scores = cells(&log, "score_mean_10");
+    assert!(scores[1] > 7.0, "it begins where the first leg ended: {scores:?}");
 }

@@ -214,12 +214,18 @@ pub struct SamplerState {
 }
 
 impl Sampler {
-    /// A sampler over `envs`, with streams of its own from the seed.
-    pub fn new(envs: VecEnv, seed: Seed, settings: SamplerSettings) -> Self {
+    /// A sampler over `envs`, with streams of its own from the seed. Where observations are scaled, their statistics go
+    /// on from `statistics`, or begin anew without.
+    pub fn new(
+        envs: VecEnv,
+        seed: Seed,
+        settings: SamplerSettings,
+        statistics: Option<ObservationStatistics>,
+    ) -> Self {
         let tracks = (0..envs.len()).map(|env| seed.stream(&format!("tracks/{env}"))).collect();
         let statistics = match envs.spaces().0 {
             ObservationSpace::Vector { len } if settings.normalize_observations => {
-                Some(ObservationStatistics::new(len))
+                Some(statistics.unwrap_or_else(|| ObservationStatistics::new(len)))
             }
             _ => None,
         };

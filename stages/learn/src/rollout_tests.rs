@@ -72,7 +72,7 @@ fn sampled(outcome: Outcome, bootstrap_time_limits: bool) -> (Policy, Rollout, V
         bootstrap_time_limits,
         normalize_observations: false,
     };
-    let mut sampler = Sampler::new(Echo::several(2, 3, outcome), Seed(5), settings);
+    let mut sampler = Sampler::new(Echo::several(2, 3, outcome), Seed(5), settings, None);
     let mut rollout = Rollout::new(OBSERVATION, 1, 2, 7);
     sampler.start(&mut rollout).unwrap();
     let mut last_seen = Vec::new();

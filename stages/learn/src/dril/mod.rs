@@ -87,6 +87,7 @@ fn settings(params: &DrilParams) -> LearnerSettings {
         envs: params.envs as usize,
         rollout_steps: params.rollout_steps as usize,
         total_steps: params.total_steps,
+        steps: 0..params.total_steps,
         learning_rate: params.learning_rate,
         anneal_learning_rate: params.anneal_learning_rate,
         adam_epsilon: params.adam_epsilon,
@@ -207,7 +208,7 @@ impl<'a> Training<'a> {
                 self.course.scores.push(episode.score);
                 self.course.tracker.finished(episode.score);
             }
-            let (done, total) = (self.learner.steps_done(), self.learner.total_steps());
+            let (done, total) = (self.learner.steps_done(), self.learner.last_step());
             let mean = self.course.scores.mean(10);
             ctx.progress(done, total, "steps", || format!("score {mean:.0}, {:.0} steps/s", speed.at(done)));
             // Not between a full rollout and its update: what the update is made of is saved with it.
