@@ -61,7 +61,7 @@ pub(crate) fn pairs() -> Split {
 
 impl Describe for Bc {
     const KIND: &'static str = "bc";
-    const REVISION: u32 = 1;
+    const REVISION: u32 = 2;
     const ABOUT: &'static str = "clones a demonstrated behaviour, with early stopping";
     type Params = BcParams;
 

@@ -42,7 +42,7 @@ fn stochastic() -> Mode {
 
 impl Describe for Collect {
     const KIND: &'static str = "collect";
-    const REVISION: u32 = 1;
+    const REVISION: u32 = 2;
     const ABOUT: &'static str = "records an agent's episodes that score above a threshold";
     type Params = CollectParams;
 

@@ -175,7 +175,7 @@ impl DrilParams {
 
 impl Describe for Dril {
     const KIND: &'static str = "dril";
-    const REVISION: u32 = 1;
+    const REVISION: u32 = 2;
     const ABOUT: &'static str =
         "imitates by PPO on an ensemble's agreement, interleaved with behaviour cloning";
     type Params = DrilParams;

@@ -59,7 +59,7 @@ fn shrunk() -> Bootstrap {
 
 impl Describe for Ensemble {
     const KIND: &'static str = "ensemble";
-    const REVISION: u32 = 1;
+    const REVISION: u32 = 2;
     const ABOUT: &'static str = "trains an ensemble of policies on bootstraps of the demonstrations";
     type Params = EnsembleParams;
 

@@ -49,7 +49,7 @@ pub enum Counted {
 
 impl Describe for Evaluate {
     const KIND: &'static str = "evaluate";
-    const REVISION: u32 = 1;
+    const REVISION: u32 = 2;
     const ABOUT: &'static str = "plays one episode on each track of a fixed list and writes the scores";
     type Params = EvaluateParams;
 

@@ -121,7 +121,8 @@ impl PpoParams {
         if to > total {
             problems.add("to_step", format!("`to_step` is {to}, expected at most `total_steps`: {total}"));
         } else if from.saturating_add(update) > to {
-            let message = format!("`from_step` is {from}, expected at least one rollout ({update}) less than {to}");
+            let message =
+                format!("`from_step` is {from}, expected at least one rollout ({update}) less than {to}");
             problems.add("from_step", message);
         }
     }
@@ -144,7 +145,7 @@ impl PpoParams {
 
 impl Describe for Ppo {
     const KIND: &'static str = "ppo";
-    const REVISION: u32 = 1;
+    const REVISION: u32 = 2;
     const ABOUT: &'static str = "trains an agent by proximal policy optimisation on the environment's reward";
     type Params = PpoParams;
 

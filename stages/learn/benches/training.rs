@@ -12,7 +12,7 @@ use dril_kinds::{Algorithm, Network, PolicyFamily, Precision, UpdateSettings};
 use dril_learn::act::act;
 use dril_learn::ensemble::{self, Ensemble};
 use dril_learn::fast;
-use dril_learn::imitation::{Imitator, action_loss};
+use dril_learn::imitation::Imitator;
 use dril_learn::net::Observation;
 use dril_learn::optim::{Adam, AdamSettings};
 use dril_learn::policy::{Architecture, Policy};
@@ -159,8 +159,7 @@ fn bc(precision: Precision, batch: usize) -> Rates {
         next = (next + 7) % (2048 - batch);
         let slots: Vec<usize> = (next..next + batch).map(|t| rollout.slot(t, 0)).collect();
         let seen = rollout.frames.gather_for(&slots, precision);
-        let actions = policy.distribution(&seen).mean_action();
-        let gradients = policy.params.gradients(&action_loss(&actions, &targets), adam.ids());
+        let (_, gradients) = policy.loss_and_gradients(&seen, &targets, adam.ids());
         adam.step(&mut policy.params, &gradients, 1e-5, None);
     })
 }
@@ -177,8 +176,8 @@ fn ensemble(precision: Precision, batch: usize) -> Rates {
     rates(batch, || {
         next = (next + 7) % (2048 - batch);
         let slots: Vec<usize> = (next..next + batch).map(|t| rollout.slot(t, 0)).collect();
-        let loss = ensemble.loss(&rollout.frames.gather_for(&slots, precision), &targets);
-        let gradients = ensemble.params.gradients(&loss, adam.ids());
+        let seen = rollout.frames.gather_for(&slots, precision);
+        let (_, gradients) = ensemble.loss_and_gradients(&seen, &targets, adam.ids());
         adam.step(&mut ensemble.params, &gradients, 1e-5, None);
     })
 }

@@ -211,7 +211,7 @@ impl<'a> Player<'a> {
         let architecture = self.policy.architecture();
         let slots: Vec<usize> = (0..WIDTH).map(|row| row * self.depth + self.depth - 1).collect();
         let observations = self.frames.gather(&slots);
-        let rows = tch::no_grad(|| self.policy.distribution(&observations).rows());
+        let rows = tch::no_grad(|| self.policy.act(&observations).distribution.rows());
         let mut samples = vec![0.0; WIDTH * architecture.action_len()];
         for (index, sample) in samples.chunks_exact_mut(architecture.action_len()).enumerate() {
             let Some((_, stream)) = &mut self.rows[index].episode else { continue };

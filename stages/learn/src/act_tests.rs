@@ -60,7 +60,7 @@ fn deterministic_acting_takes_the_mean_and_stochastic_acting_scatters_about_it()
     let policy = policy(PolicyFamily::Beta);
     let fixed = played(&policy, play(Mode::Deterministic, 8));
     let seen = Tensor::from_slice(&fixed[0].vectors).view([-1, 1]);
-    let means = tch::no_grad(|| policy.distribution(&seen).mean_action());
+    let means = tch::no_grad(|| policy.act(&seen).distribution.mean_action());
     for (step, action) in fixed[0].actions.iter().enumerate() {
         assert!((f64::from(*action) - means.double_value(&[step as i64, 0])).abs() < 1e-6);
     }
@@ -74,7 +74,7 @@ fn deterministic_acting_takes_the_mean_and_stochastic_acting_scatters_about_it()
 fn with_some_probability_the_whole_batch_takes_its_mean() {
     let policy = policy(PolicyFamily::Gaussian);
     let seen = Tensor::from_slice(&[0.1_f32, -0.7]).view([2, 1]);
-    let means = tch::no_grad(|| policy.distribution(&seen).mean_action());
+    let means = tch::no_grad(|| policy.act(&seen).distribution.mean_action());
     let mean_of = |row: i64| means.double_value(&[row, 0]) as f32;
     let mut stream = Seed(2).stream("action");
     let (mut means, mut samples) = (0, 0);

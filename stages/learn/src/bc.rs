@@ -10,7 +10,7 @@ use tch::Tensor;
 use crate::fast;
 use crate::imitation::{self, Imitator, Schedule};
 use crate::made_with;
-use crate::net::{Observation, ParamId, Parameters};
+use crate::net::{Gradients, Observation, ParamId, Parameters};
 use crate::pairs::Pairs;
 use crate::policy::{Architecture, Policy};
 use crate::split::divide;
@@ -69,12 +69,19 @@ impl Imitator for Policy {
         self.actor_ids()
     }
 
-    fn loss(&self, observations: &Tensor, actions: &Tensor) -> Tensor {
-        self.distribution(observations).cloning_loss(actions)
+    fn loss_and_gradients(
+        &self,
+        observations: &Tensor,
+        actions: &Tensor,
+        ids: &[ParamId],
+    ) -> (f64, Gradients) {
+        let answer = self.act(observations);
+        let loss = answer.distribution.cloning_loss(actions);
+        (loss.double_value(&[]), answer.gradients(self, &loss, ids))
     }
 
     fn validation_loss(&self, observations: &Tensor, actions: &Tensor) -> Tensor {
-        self.loss(observations, actions)
+        self.act(observations).distribution.cloning_loss(actions)
     }
 }
 

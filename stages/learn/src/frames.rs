@@ -114,8 +114,8 @@ impl FrameStore {
         self.numbers.copy_within(from * numbers..(last + 1) * numbers, to * numbers);
     }
 
-    /// The observations whose newest frames lie in `slots`, as a network takes them: [slots, stack·16, height/4,
-    /// width/4] in 0..=255 for frames in blocks, [slots, len] for vectors.
+    /// The observations whose newest frames lie in `slots`, as a network takes them: [slots, height/4, width/4, stack·16]
+    /// in 0..=255 for frames in blocks, [slots, len] for vectors.
     pub fn gather(&self, slots: &[usize]) -> Tensor {
         self.gather_for(slots, Precision::Fp32)
     }
@@ -126,7 +126,7 @@ impl FrameStore {
             Observation::Images { height, width, stack } => {
                 let block = layout::BLOCK;
                 let channels = stack * block * block;
-                let shape = [slots.len(), channels, height / block, width / block].map(|n| n as i64);
+                let shape = [slots.len(), height / block, width / block, channels].map(|n| n as i64);
                 let len = stack * height * width;
                 match precision {
                     Precision::Fp32 => {
@@ -172,22 +172,24 @@ impl FrameStore {
         Ok(())
     }
 
-    /// Stacks of `len` numbers one after the other, the oldest plane of each first.
+    /// Stacks of `len` numbers one after the other; within a stack, block by block the frames from the oldest on.
     fn gather_stacks<N: Copy + Default>(
         &self,
         slots: &[usize],
         len: usize,
         numbers: &mut [N],
-        widen: impl Fn(&[u8], &mut [N]),
+        widen: impl Fn(&[u8], &mut [N], usize),
     ) {
         let (size, stack) = (self.frame_bytes(), self.observation.stack());
-        for (planes, &slot) in numbers.chunks_exact_mut(len).zip(slots) {
-            for (position, plane) in planes.chunks_exact_mut(size).enumerate() {
+        let stride = stack * layout::BLOCK_LEN;
+        for (numbers, &slot) in numbers.chunks_exact_mut(len).zip(slots) {
+            for position in 0..stack {
                 let back = stack - 1 - position;
+                let plane = &mut numbers[position * layout::BLOCK_LEN..];
                 if back > usize::from(self.ages[slot]) {
-                    plane.fill(N::default());
+                    plane.chunks_mut(stride).for_each(|block| block[..layout::BLOCK_LEN].fill(N::default()));
                 } else {
-                    widen(&self.bytes[(slot - back) * size..][..size], plane);
+                    widen(&self.bytes[(slot - back) * size..][..size], plane, stride);
                 }
             }
         }
@@ -228,8 +230,8 @@ mod tests {
     /// The planes of an observation, out of their blocks: [stack, height · width].
     fn planes(store: &FrameStore, slot: usize) -> Vec<Vec<u8>> {
         let batch = store.gather(&[slot]);
-        assert_eq!(batch.size(), [1, 48, 1, 2]);
-        let planes = batch.view([3, 4, 4, 1, 2]).permute([0, 3, 1, 4, 2]).contiguous().view([3, 32]);
+        assert_eq!(batch.size(), [1, 1, 2, 48]);
+        let planes = batch.view([1, 2, 3, 4, 4]).permute([2, 0, 3, 1, 4]).contiguous().view([3, 32]);
         memory::values(&planes)
             .chunks(32)
             .map(|plane| plane.iter().map(|&value| value as u8).collect())

@@ -9,7 +9,7 @@ use tch::{Kind, Tensor};
 
 use crate::checkpoint::{self, Arrays, foreign};
 use crate::log::{Speed, TrainingLog};
-use crate::net::{ParamId, Parameters};
+use crate::net::{Gradients, ParamId, Parameters};
 use crate::optim::{Adam, AdamSettings};
 use crate::pairs::Pairs;
 use crate::split::{Parts, batching, shuffled};
@@ -30,8 +30,13 @@ pub trait Imitator {
     fn params_mut(&mut self) -> &mut Parameters;
     /// The weights that the loss depends on.
     fn trained(&self) -> Vec<ParamId>;
-    /// The training loss of a batch, a scalar.
-    fn loss(&self, observations: &Tensor, actions: &Tensor) -> Tensor;
+    /// The training loss of a batch, and its gradients for the parameters asked for, in that order.
+    fn loss_and_gradients(
+        &self,
+        observations: &Tensor,
+        actions: &Tensor,
+        ids: &[ParamId],
+    ) -> (f64, Gradients);
     /// The mean loss over a batch in validation, a scalar.
     fn validation_loss(&self, observations: &Tensor, actions: &Tensor) -> Tensor;
 }
@@ -163,15 +168,13 @@ impl<'m, M: Imitator> Training<'m, M> {
     fn batch(&mut self, pairs: &Pairs, order: &[usize]) -> Result<(), StageError> {
         let batch = &order[self.at.batch * self.batches.1..][..self.batches.1];
         let seen = pairs.observations_for(batch, self.model.params().precision());
-        let loss = self.model.loss(&seen, &pairs.actions(batch));
-        let value = loss.double_value(&[]);
+        let (value, gradients) = self.model.loss_and_gradients(&seen, &pairs.actions(batch), self.adam.ids());
         if !value.is_finite() {
             return Err(StageError::failed(format!(
                 "the loss became {value} in epoch {}; lower `learning_rate` ({})",
                 self.at.epoch, self.schedule.learning_rate
             )));
         }
-        let gradients = self.model.params().gradients(&loss, self.adam.ids());
         self.adam.step(self.model.params_mut(), &gradients, self.schedule.learning_rate, None);
         self.at.batch += 1;
         self.at.loss += value;

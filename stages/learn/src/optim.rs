@@ -159,7 +159,7 @@ mod tests {
         let settings = AdamSettings { epsilon: 1e-5, ..AdamSettings::default() };
         let mut ours = Adam::new(&params, ids.clone(), settings);
         for _ in 0..30 {
-            let gradients = params.gradients(&loss(params.tensor(ids[0]), params.tensor(ids[1])), &ids);
+            let gradients = params.torch_gradients(&loss(params.tensor(ids[0]), params.tensor(ids[1])), &ids);
             ours.step(&mut params, &gradients, 1e-2, Some(0.5));
             let loss = loss(&copies[0], &copies[1]);
             theirs.backward_step_clip_norm(&loss, 0.5);
@@ -183,7 +183,7 @@ mod tests {
         let mut theirs = theirs.build(&store, 1e-5).unwrap();
         let mut ours = Adam::new(&params, ids.clone(), AdamSettings::rmsprop(0.99, 1e-5));
         for _ in 0..30 {
-            let gradients = params.gradients(&loss(params.tensor(ids[0]), params.tensor(ids[1])), &ids);
+            let gradients = params.torch_gradients(&loss(params.tensor(ids[0]), params.tensor(ids[1])), &ids);
             ours.step(&mut params, &gradients, 1e-5, None);
             theirs.backward_step(&loss(&copies[0], &copies[1]));
         }
@@ -199,7 +199,7 @@ mod tests {
         let ids: Vec<ParamId> = params.ids().collect();
         let before = params.values().to_vec();
         let mut adam = Adam::new(&params, ids.clone(), AdamSettings::default());
-        let gradients = params.gradients(&params.tensor(ids[0]).sum(Kind::Float), &ids);
+        let gradients = params.torch_gradients(&params.tensor(ids[0]).sum(Kind::Float), &ids);
         assert!(gradients[1].is_none());
         assert_eq!(adam.step(&mut params, &gradients, 0.1, None), 2.0, "the norm of four ones");
         assert!(
@@ -218,7 +218,8 @@ mod tests {
             let ids: Vec<ParamId> = params.ids().collect();
             let mut adam = Adam::new(&params, ids.clone(), AdamSettings::default());
             for step in 0..6 {
-                let gradients = params.gradients(&loss(params.tensor(ids[0]), params.tensor(ids[1])), &ids);
+                let gradients =
+                    params.torch_gradients(&loss(params.tensor(ids[0]), params.tensor(ids[1])), &ids);
                 adam.step(&mut params, &gradients, 1e-2, None);
                 if stop && step == 2 {
                     let mut arrays = Arrays::new();

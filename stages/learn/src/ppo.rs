@@ -38,18 +38,16 @@ impl Stage for PpoStage {
 }
 
 /// The agent that training begins with: the one that is handed in, or a new one.
-fn beginner(
-    params: &PpoParams,
-    architecture: Architecture,
-    ctx: &mut Ctx<'_>,
-) -> Result<Policy, StageError> {
+fn beginner(params: &PpoParams, architecture: Architecture, ctx: &mut Ctx<'_>) -> Result<Policy, StageError> {
     let Some(path) = ctx.optional_input("policy") else {
         return Policy::new(architecture, &mut ctx.stream("init"));
     };
     let policy = Policy::load("policy", path)?;
     if policy.architecture() != architecture {
         let (seen, wanted) = (policy.architecture(), architecture);
-        let message = format!("is an agent of {seen:?}, expected {wanted:?}, which `env`, `policy` and `network` ask for");
+        let message = format!(
+            "is an agent of {seen:?}, expected {wanted:?}, which `env`, `policy` and `network` ask for"
+        );
         return Err(StageError::input("policy", path, message));
     }
     if policy.statistics.is_some() != params.normalize_observations {

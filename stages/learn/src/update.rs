@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use tch::{Device, Kind, Tensor};
 
 use crate::optim::Adam;
-use crate::policy::{Forward, Policy};
+use crate::policy::Policy;
 use crate::rollout::{Advantages, Rollout};
 
 /// What the loss is computed from, as tensors over a minibatch: all [batch].
@@ -174,17 +174,18 @@ impl Update {
         learning_rate: f64,
     ) -> Result<(), StageError> {
         let slots: Vec<usize> = minibatch.iter().map(|&entry| rollout.entry_slot(entry)).collect();
-        let Forward { distribution, values } =
-            policy.forward(&rollout.frames.gather_for(&slots, policy.params.precision()));
+        let seen = rollout.frames.gather_for(&slots, policy.params.precision());
+        let answer = policy.forward(&seen);
+        let (distribution, values) = (&answer.distribution, &answer.values);
         let samples = self.samples(rollout, minibatch);
         let log_probs = distribution.log_prob(&pick_rows(&rollout.samples, rollout.dims, minibatch));
         let loss = match settings.algorithm {
             Algorithm::Ppo => ppo_loss,
             Algorithm::A2c => a2c_loss,
         };
-        let losses = loss(&log_probs, &values, &distribution.entropy(), &samples, settings);
+        let losses = loss(&log_probs, values, &distribution.entropy(), &samples, settings);
         self.add(&losses)?;
-        let gradients = policy.params.gradients(&losses.total, adam.ids());
+        let gradients = answer.gradients(policy, &losses.total, adam.ids());
         adam.step(&mut policy.params, &gradients, learning_rate, Some(settings.max_grad_norm));
         Ok(())
     }

@@ -59,15 +59,14 @@ impl<'a> Cloning<'a> {
     pub(super) fn step(&mut self, policy: &mut Policy) -> Result<(), StageError> {
         let batch = random_batch(&self.train, self.batch_size, &mut self.stream);
         let seen = self.pairs.observations_for(&batch, policy.params.precision());
-        let loss = policy.loss(&seen, &self.pairs.actions(&batch));
-        let value = loss.double_value(&[]);
+        let actions = self.pairs.actions(&batch);
+        let (value, gradients) = policy.loss_and_gradients(&seen, &actions, self.adam.ids());
         if !value.is_finite() {
             return Err(StageError::failed(format!(
                 "the loss of behaviour cloning is {value}: the network has diverged; try a lower `learning_rate` or \
                  `bc_learning_rate`"
             )));
         }
-        let gradients = policy.params.gradients(&loss, self.adam.ids());
         self.adam.step(&mut policy.params, &gradients, self.learning_rate, None);
         self.losses.0 += value;
         self.losses.1 += 1;

@@ -258,8 +258,9 @@ fn a_step_of_cloning_lowers_its_loss_and_leaves_the_critic_alone() {
     };
     let mut policy = Policy::new(architecture, &mut Seed(3).stream("init")).unwrap();
     let all: Vec<usize> = (0..pairs.len()).collect();
-    let loss =
-        |policy: &Policy| policy.loss(&pairs.observations(&all), &pairs.actions(&all)).double_value(&[]);
+    let loss = |policy: &Policy| {
+        policy.validation_loss(&pairs.observations(&all), &pairs.actions(&all)).double_value(&[])
+    };
     let critic = |policy: &Policy| policy.values(&pairs.observations(&all)).double_value(&[7]);
     let (loss_before, critic_before) = (loss(&policy), critic(&policy));
     let mut cloning = Cloning::new(&policy, &pairs, all.clone(), (20, 1e-3), Seed(3));

@@ -12,7 +12,7 @@ pub use net::{Architecture, Ensemble};
 use crate::fast;
 use crate::imitation::{self, Imitator, Schedule, action_loss};
 use crate::made_with;
-use crate::net::{ParamId, Parameters};
+use crate::net::{Gradients, ParamId, Parameters};
 use crate::pairs::Pairs;
 use crate::policy::categorical;
 use crate::spaces::Actions;
@@ -78,8 +78,15 @@ impl Imitator for Ensemble {
     }
 
     /// Each member learns from its own slice.
-    fn loss(&self, observations: &Tensor, actions: &Tensor) -> Tensor {
-        self.answers_loss(&self.forward_slices(observations), actions)
+    fn loss_and_gradients(
+        &self,
+        observations: &Tensor,
+        actions: &Tensor,
+        ids: &[ParamId],
+    ) -> (f64, Gradients) {
+        let slices = self.forward_slices(observations);
+        let loss = self.answers_loss(&slices.answers, actions);
+        (loss.double_value(&[]), self.gradients(slices, &loss, ids))
     }
 
     /// All members are tried on all pairs.

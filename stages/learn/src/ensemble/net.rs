@@ -6,12 +6,16 @@
 
 use std::path::Path;
 
+use dril_kinds::Precision;
 use dril_stage_api::{StageError, StreamRng};
 use serde::{Deserialize, Serialize};
 use tch::Tensor;
 
 use crate::fast::memory;
-use crate::net::{Activation, Builder, LayerInit, Observation, Parameters, Sequential, weights};
+use crate::net::{
+    Activation, Builder, ByParameter, Gradients, LayerInit, Observation, ParamId, Parameters, Pass,
+    Sequential, weights,
+};
 use crate::spaces::Actions;
 
 /// Width of all fully connected layers.
@@ -43,6 +47,15 @@ impl Architecture {
     pub fn kind(&self) -> Actions {
         if self.choices { Actions::Choices(self.actions) } else { Actions::Numbers(self.actions) }
     }
+}
+
+/// What each member answered to its slice of a batch.
+#[derive(Debug)]
+pub struct Slices {
+    /// The answers in the order of the batch, [batch, actions], not clipped.
+    pub answers: Tensor,
+    /// The ways through encoder and heads; none where libtorch's graph reaches down to the weights.
+    passes: Option<(Pass, Vec<Pass>)>,
 }
 
 /// Several policies that answer with an action each; how far they are apart is DRIL's cost.
@@ -104,20 +117,59 @@ impl Ensemble {
 
     /// What every member answers to every observation: [members, batch, actions], not clipped. The encoder runs once.
     pub fn forward(&self, observations: &Tensor) -> Tensor {
-        let features = self.encoder.forward(&self.params, observations);
-        let answers: Vec<Tensor> =
-            self.heads.iter().map(|head| head.forward(&self.params, &features)).collect();
+        let features = self.layers(&self.encoder, observations);
+        let answers: Vec<Tensor> = self.heads.iter().map(|head| self.layers(head, &features)).collect();
         Tensor::stack(&answers, 0)
     }
 
+    fn layers(&self, layers: &Sequential, input: &Tensor) -> Tensor {
+        match self.params.precision() {
+            Precision::Fp32 => layers.pass(&self.params, input).output().shallow_clone(),
+            Precision::Bf16 => layers.torch_forward(&self.params, input),
+        }
+    }
+
     /// What each member answers to its own slice of the batch, whose length is a multiple of the members: member k sees
-    /// the k-th of as many consecutive slices. The answers in the order of the batch, [batch, actions], not clipped.
-    pub fn forward_slices(&self, observations: &Tensor) -> Tensor {
-        let features = self.encoder.forward(&self.params, observations);
-        let slices = features.chunk(self.heads.len() as i64, 0);
-        let answers: Vec<Tensor> =
-            self.heads.iter().zip(&slices).map(|(head, slice)| head.forward(&self.params, slice)).collect();
-        Tensor::cat(&answers, 0)
+    /// the k-th of as many consecutive slices.
+    pub fn forward_slices(&self, observations: &Tensor) -> Slices {
+        if self.params.precision() == Precision::Bf16 {
+            let features = self.encoder.torch_forward(&self.params, observations);
+            let slices = features.chunk(self.heads.len() as i64, 0);
+            let heads = self.heads.iter().zip(&slices);
+            let answers: Vec<Tensor> =
+                heads.map(|(head, slice)| head.torch_forward(&self.params, slice)).collect();
+            return Slices { answers: Tensor::cat(&answers, 0), passes: None };
+        }
+        let encoder = self.encoder.pass(&self.params, observations);
+        let slices = encoder.output().chunk(self.heads.len() as i64, 0);
+        let heads = self.heads.iter().zip(&slices);
+        let heads: Vec<Pass> = heads.map(|(head, slice)| head.pass(&self.params, slice)).collect();
+        let outputs: Vec<&Tensor> = heads.iter().map(Pass::output).collect();
+        let answers = Tensor::cat(&outputs, 0).set_requires_grad(true);
+        Slices { answers, passes: Some((encoder, heads)) }
+    }
+
+    /// The gradients of a scalar that was made of the answers to slices, for the parameters asked for, in that order.
+    pub fn gradients(&self, slices: Slices, loss: &Tensor, ids: &[ParamId]) -> Gradients {
+        let Some((encoder, heads)) = slices.passes else {
+            return self.params.torch_gradients(loss, ids);
+        };
+        let mut gradients = ByParameter::new(&self.params);
+        let arrived = Tensor::run_backward(&[loss], &[&slices.answers], false, false);
+        let wants = !self.encoder.is_empty();
+        let mut back = Vec::new();
+        for gradient in arrived.iter().filter(|gradient| gradient.defined()) {
+            let parts = gradient.chunk(self.heads.len() as i64, 0);
+            for ((head, pass), part) in self.heads.iter().zip(&heads).zip(parts) {
+                // Copied, since the way back writes to it.
+                let part = part.contiguous().copy();
+                back.extend(head.back(&self.params, pass, part, &mut gradients, wants));
+            }
+        }
+        if !back.is_empty() {
+            self.encoder.back(&self.params, &encoder, Tensor::cat(&back, 0), &mut gradients, false);
+        }
+        gradients.pick(ids)
     }
 
     /// [`Ensemble::forward`] without a graph, as plain numbers `[member][sample][dimension]`.
@@ -216,7 +268,7 @@ mod tests {
     fn each_member_answers_to_its_slice_as_it_answers_to_all() {
         let ensemble = new(VECTORS);
         let batch = numbers(&[8, 3]);
-        let (all, slices) = (ensemble.forward(&batch), ensemble.forward_slices(&batch));
+        let (all, slices) = (ensemble.forward(&batch), ensemble.forward_slices(&batch).answers);
         assert_eq!((all.size(), slices.size()), (vec![4, 8, 2], vec![8, 2]));
         for row in 0..8 {
             let apart: f64 = (all.get(row / 2).get(row) - slices.get(row)).abs().max().double_value(&[]);
@@ -227,7 +279,7 @@ mod tests {
     #[test]
     fn members_begin_apart_and_share_the_encoder_for_images() {
         let ensemble = new(IMAGES);
-        let answers = ensemble.forward(&numbers(&[1, 32, 9, 9]));
+        let answers = ensemble.forward(&numbers(&[1, 9, 9, 32]));
         assert_eq!(answers.size(), [3, 1, 2]);
         assert!((answers.get(0) - answers.get(1)).abs().max().double_value(&[]) > 1e-4);
         let names: Vec<&str> =

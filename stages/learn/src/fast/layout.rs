@@ -2,25 +2,23 @@
 //!
 //! The first convolution (8×8, stride 4, few input channels) is the worst case of a convolution library. Where each
 //! block of 4×4 pixels becomes 16 channels, the same function is a 2×2 convolution with stride 1 over 16 times the
-//! channels, and runs about three times as fast. Frames are put into blocks once, when they arrive; the kernel is put
-//! into blocks at each step (8,192 numbers), and takes over the division of bytes by 255, which would otherwise be a
-//! pass over the whole batch.
+//! channels. Frames are put into blocks once, when they arrive; the kernel is put into blocks at each step (8,192 numbers),
+//! and takes over the division of bytes by 255, which would otherwise be a pass over the whole batch.
 
 use tch::Tensor;
+
+use super::vector::widest;
 
 /// Pixels along each side of a block: the first convolution's stride.
 pub const BLOCK: usize = 4;
 
-/// Writes a frame of `height`×`width` bytes as blocks: `[4, 4, height/4, width/4]`, row and column within the block
-/// first.
-pub fn block_frame(frame: &[u8], (height, width): (usize, usize), blocked: &mut [u8]) {
-    let columns = width / BLOCK;
-    let plane = (height / BLOCK) * columns;
-    for (y, row) in frame.chunks_exact(width).enumerate() {
-        let (block_row, dy) = (y / BLOCK, y % BLOCK);
-        for (x, pixels) in row.chunks_exact(BLOCK).enumerate() {
-            for (dx, &pixel) in pixels.iter().enumerate() {
-                blocked[(dy * BLOCK + dx) * plane + block_row * columns + x] = pixel;
+/// Writes a frame of `height`×`width` bytes as blocks: `[height/4, width/4, 16]`, the pixels of a block row by row.
+pub fn block_frame(frame: &[u8], (_, width): (usize, usize), blocked: &mut [u8]) {
+    let line = width * BLOCK;
+    for (rows, blocks) in frame.chunks_exact(line).zip(blocked.chunks_exact_mut(line)) {
+        for (y, row) in rows.chunks_exact(width).enumerate() {
+            for (pixels, block) in row.chunks_exact(BLOCK).zip(blocks.chunks_exact_mut(BLOCK * BLOCK)) {
+                block[y * BLOCK..][..BLOCK].copy_from_slice(pixels);
             }
         }
     }
@@ -36,51 +34,34 @@ pub fn block_kernel(kernel: &Tensor) -> Tensor {
     blocks.reshape([filters, channels * block * block, rows, columns]) * (1.0 / 255.0)
 }
 
-/// Bytes as numbers, 0..=255.
-pub fn widen(bytes: &[u8], numbers: &mut [f32]) {
-    #[cfg(target_arch = "x86_64")]
-    if is_x86_feature_detected!("avx2") {
-        #[allow(unsafe_code)]
-        // SAFETY: the instructions were found on this machine.
-        return unsafe { widen_avx2(bytes, numbers) };
-    }
-    widen_plain(bytes, numbers);
-}
+/// Numbers in a block.
+pub const BLOCK_LEN: usize = BLOCK * BLOCK;
 
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn widen_avx2(bytes: &[u8], numbers: &mut [f32]) {
-    widen_plain(bytes, numbers);
+widest! {
+    /// The bytes of a frame in blocks as numbers, 0..=255: each block where the last one stood and `stride` further.
+    pub fn widen(bytes: &[u8], numbers: &mut [f32], stride: usize) = widen_in
 }
 
 #[inline(always)]
-fn widen_plain(bytes: &[u8], numbers: &mut [f32]) {
-    for (number, byte) in numbers.iter_mut().zip(bytes) {
-        *number = f32::from(*byte);
+fn widen_in<const ROWS: usize>(bytes: &[u8], numbers: &mut [f32], stride: usize) {
+    for (block, numbers) in bytes.chunks_exact(BLOCK_LEN).zip(numbers.chunks_mut(stride)) {
+        for (number, byte) in numbers[..BLOCK_LEN].iter_mut().zip(block) {
+            *number = f32::from(*byte);
+        }
     }
 }
 
-/// Bytes as bfloat16 numbers, which hold 0..=255 exactly: the upper halves of the `f32` bits.
-pub fn widen_short(bytes: &[u8], numbers: &mut [u16]) {
-    #[cfg(target_arch = "x86_64")]
-    if is_x86_feature_detected!("avx2") {
-        #[allow(unsafe_code)]
-        // SAFETY: the instructions were found on this machine.
-        return unsafe { widen_short_avx2(bytes, numbers) };
-    }
-    widen_short_plain(bytes, numbers);
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn widen_short_avx2(bytes: &[u8], numbers: &mut [u16]) {
-    widen_short_plain(bytes, numbers);
+widest! {
+    /// As [`widen`], as bfloat16 numbers, which hold 0..=255 exactly: the upper halves of the `f32` bits.
+    pub fn widen_short(bytes: &[u8], numbers: &mut [u16], stride: usize) = widen_short_in
 }
 
 #[inline(always)]
-fn widen_short_plain(bytes: &[u8], numbers: &mut [u16]) {
-    for (number, byte) in numbers.iter_mut().zip(bytes) {
-        *number = (f32::from(*byte).to_bits() >> 16) as u16;
+fn widen_short_in<const ROWS: usize>(bytes: &[u8], numbers: &mut [u16], stride: usize) {
+    for (block, numbers) in bytes.chunks_exact(BLOCK_LEN).zip(numbers.chunks_mut(stride)) {
+        for (number, byte) in numbers[..BLOCK_LEN].iter_mut().zip(block) {
+            *number = (f32::from(*byte).to_bits() >> 16) as u16;
+        }
     }
 }
 
@@ -104,8 +85,10 @@ mod tests {
             block_frame(frame, (side, side), blocked);
         }
         let mut numbers = vec![0.0; blocked.len()];
-        widen(&blocked, &mut numbers);
-        let input = Tensor::from_slice(&numbers).view([1, 16 * channels as i64, 9, 9]);
+        for (plane, frame) in blocked.chunks(side * side).enumerate() {
+            widen(frame, &mut numbers[plane * BLOCK_LEN..], channels * BLOCK_LEN);
+        }
+        let input = Tensor::from_slice(&numbers).view([1, 9, 9, 16 * channels as i64]).permute([0, 3, 1, 2]);
         let found = input.conv2d(&block_kernel(&kernel), None::<Tensor>, 1, 0, 1, 1);
         assert_eq!(found.size(), plain.size());
         let worst = memory::values(&found.contiguous())

@@ -3,8 +3,9 @@
 use dril_stage_api::StreamRng;
 use tch::Tensor;
 
+use super::convolution::Convolution;
 use super::{Init, ParamId, ParamSpec, Parameters};
-use crate::fast::layout;
+use crate::fast::{conv, dense, layout};
 
 /// What follows a layer's sum.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -18,7 +19,7 @@ pub enum Activation {
 }
 
 impl Activation {
-    fn apply(self, x: Tensor) -> Tensor {
+    fn torch(self, x: Tensor) -> Tensor {
         match self {
             Self::Linear => x,
             Self::Relu => x.relu(),
@@ -38,58 +39,63 @@ pub enum LayerInit {
 
 /// One layer.
 #[derive(Clone, Debug, PartialEq)]
-enum Layer {
-    /// The first convolution (8×8, stride 4), fed with frames in blocks and in bytes' units (see [`layout`]).
-    Pixels {
-        weight: ParamId,
-        bias: ParamId,
-    },
+pub(super) enum Layer {
+    /// A convolution with ReLU.
     Conv {
         weight: ParamId,
         bias: ParamId,
-        stride: i64,
+        conv: Convolution,
     },
+    /// Pictures as rows of numbers, one channel after the other.
     Flatten,
     Linear {
         weight: ParamId,
         bias: ParamId,
+        shape: dense::Shape,
         activation: Activation,
     },
 }
 
 /// Layers one after the other.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Sequential(Vec<Layer>);
+pub struct Sequential(pub(super) Vec<Layer>);
 
 impl Sequential {
-    /// The output for a batch of inputs.
-    pub fn forward(&self, params: &Parameters, input: &Tensor) -> Tensor {
+    /// True where there is no layer.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// The output for a batch of inputs, by libtorch and with its gradients: the way with 16 bits, and what
+    /// [`Sequential::pass`] is held against.
+    pub fn torch_forward(&self, params: &Parameters, input: &Tensor) -> Tensor {
         let mut x = input.shallow_clone();
         for layer in &self.0 {
-            x = layer.forward(params, &x);
+            x = layer.torch_forward(params, &x);
         }
         x
     }
 }
 
 impl Layer {
-    /// Each layer takes its input in the kind of its weights.
-    fn forward(&self, params: &Parameters, x: &Tensor) -> Tensor {
-        match *self {
-            Self::Pixels { weight, bias } => {
-                // Few numbers, scaled before they are rounded: the kernel and not the parameter is made short.
-                let bias = params.weight(bias);
-                let kernel = layout::block_kernel(params.tensor(weight)).to_kind(bias.kind());
-                x.to_kind(bias.kind()).conv2d(&kernel, Some(bias), 1, 0, 1, 1).relu()
+    /// Each layer takes its input in the kind of its weights; pictures have their channels last.
+    fn torch_forward(&self, params: &Parameters, x: &Tensor) -> Tensor {
+        match self {
+            Self::Conv { weight, bias, conv } => {
+                let x = x.permute([0, 3, 1, 2]);
+                let bias = params.weight(*bias);
+                let (kernel, stride) = match conv.is_blocked() {
+                    // Few numbers, scaled before they are rounded: the kernel and not the parameter is made short.
+                    true => (layout::block_kernel(params.tensor(*weight)).to_kind(bias.kind()), 1),
+                    false => (params.weight(*weight).shallow_clone(), conv.shape.stride as i64),
+                };
+                let sums = x.to_kind(bias.kind()).conv2d(&kernel, Some(bias), stride, 0, 1, 1);
+                sums.relu().permute([0, 2, 3, 1])
             }
-            Self::Conv { weight, bias, stride } => {
-                let weight = params.weight(weight);
-                x.to_kind(weight.kind()).conv2d(weight, Some(params.weight(bias)), stride, 0, 1, 1).relu()
-            }
-            Self::Flatten => x.flatten(1, -1),
-            Self::Linear { weight, bias, activation } => {
-                let weight = params.weight(weight);
-                activation.apply(x.to_kind(weight.kind()).linear(weight, Some(params.weight(bias))))
+            Self::Flatten => x.permute([0, 3, 1, 2]).flatten(1, -1),
+            Self::Linear { weight, bias, activation, .. } => {
+                let weight = params.weight(*weight);
+                activation.torch(x.to_kind(weight.kind()).linear(weight, Some(params.weight(*bias))))
             }
         }
     }
@@ -133,7 +139,7 @@ impl Builder {
         if outputs >= NARROW {
             self.may_round([weight, bias]);
         }
-        to.0.push(Layer::Linear { weight, bias, activation });
+        to.0.push(Layer::Linear { weight, bias, shape: dense::Shape { inputs, outputs }, activation });
     }
 
     /// The three convolutions with ReLU of Mnih et al. (2015), flattened, for a stack of frames of `stack`×`height`×
@@ -148,21 +154,18 @@ impl Builder {
         let mut layers = Vec::new();
         let (mut channels, mut height, mut width) = (stack, height, width);
         for (index, ((kernel, stride), filters)) in CONVOLUTIONS.into_iter().zip(filters).enumerate() {
-            let shape = [filters as i64, channels as i64, kernel, kernel];
-            let (weight, bias) = self.weight_and_bias(&format!("{name}.{index}"), &shape, init);
-            layers.push(match index {
-                0 => {
-                    self.may_round([bias]);
-                    Layer::Pixels { weight, bias }
-                }
-                _ => {
-                    self.may_round([weight, bias]);
-                    Layer::Conv { weight, bias, stride }
-                }
-            });
+            let size = [filters as i64, channels as i64, kernel, kernel];
+            let (weight, bias) = self.weight_and_bias(&format!("{name}.{index}"), &size, init);
+            let (kernel, stride) = (kernel as usize, stride as usize);
+            let shape = conv::Shape { height, width, channels, filters, kernel, stride };
+            let conv = if index == 0 { Convolution::blocked(shape) } else { Convolution::new(shape) };
+            match index {
+                0 => self.may_round([bias]),
+                _ => self.may_round([weight, bias]),
+            }
+            (height, width) = shape.output();
             channels = filters;
-            height = (height - kernel as usize) / stride as usize + 1;
-            width = (width - kernel as usize) / stride as usize + 1;
+            layers.push(Layer::Conv { weight, bias, conv });
         }
         layers.push(Layer::Flatten);
         (Sequential(layers), channels * height * width)

@@ -4,9 +4,11 @@
 //! - [`Trunk`]: its layers without the policy's head, which the policy family adds.
 //! - [`Parameters`]: the weights, as tensors and as one flat buffer; [`weights`]: the same as a file.
 
+mod convolution;
 mod init;
 mod layers;
 mod params;
+mod pass;
 pub mod weights;
 
 use serde::{Deserialize, Serialize};
@@ -16,6 +18,7 @@ pub use dril_kinds::Network;
 pub use init::Init;
 pub use layers::{Activation, Builder, LayerInit, Sequential};
 pub use params::{Gradients, ParamId, ParamSpec, Parameters};
+pub use pass::{ByParameter, Pass};
 
 /// What an agent sees.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -77,21 +80,68 @@ impl Trunk {
         }
     }
 
-    /// What the actor's last layer gives, [batch, features].
-    pub fn actor(&self, params: &Parameters, input: &Tensor) -> Tensor {
-        self.actor.forward(params, &self.shared.forward(params, input))
+    /// What the actor's last layer gives, [batch, features], and the state value, [batch], by libtorch; undefined where
+    /// it is not wanted.
+    pub fn torch_forward(&self, params: &Parameters, input: &Tensor, wants: Wants) -> (Tensor, Tensor) {
+        let shared = self.shared.torch_forward(params, input);
+        let part = |part: &Sequential, wanted: bool| {
+            if wanted { part.torch_forward(params, &shared) } else { Tensor::new() }
+        };
+        let value = part(&self.critic, wants.critic);
+        let value = if wants.critic { value.squeeze_dim(1) } else { value };
+        (part(&self.actor, wants.actor), value)
     }
 
-    /// The state value, [batch].
-    pub fn critic(&self, params: &Parameters, input: &Tensor) -> Tensor {
-        self.critic.forward(params, &self.shared.forward(params, input)).squeeze_dim(1)
+    /// Sends a batch through the shared layers and through those of the parts that are wanted.
+    pub fn pass(&self, params: &Parameters, input: &Tensor, wants: Wants) -> TrunkPass {
+        let shared = self.shared.pass(params, input);
+        let actor = wants.actor.then(|| self.actor.pass(params, shared.output()));
+        let critic = wants.critic.then(|| self.critic.pass(params, shared.output()));
+        TrunkPass { shared, actor, critic }
     }
 
-    /// Both, with the shared layers computed once.
-    pub fn both(&self, params: &Parameters, input: &Tensor) -> (Tensor, Tensor) {
-        let shared = self.shared.forward(params, input);
-        (self.actor.forward(params, &shared), self.critic.forward(params, &shared).squeeze_dim(1))
+    /// Sends the gradients of the actor's features and of the critic's output back, where there are any, and adds those
+    /// of the weights to `gradients`. They are dense and used up.
+    pub fn back(
+        &self,
+        params: &Parameters,
+        pass: &TrunkPass,
+        (features, value): (Option<Tensor>, Option<Tensor>),
+        gradients: &mut ByParameter,
+    ) {
+        let wants = !self.shared.is_empty();
+        let mut back = |part: &Sequential, pass: &Option<Pass>, gradient: Option<Tensor>| {
+            part.back(params, pass.as_ref()?, gradient?, gradients, wants)
+        };
+        let from_actor = back(&self.actor, &pass.actor, features);
+        let from_critic = back(&self.critic, &pass.critic, value);
+        let shared = match (from_actor, from_critic) {
+            (Some(actor), Some(critic)) => Some(actor + critic),
+            (one, other) => one.or(other),
+        };
+        if let Some(gradient) = shared {
+            self.shared.back(params, &pass.shared, gradient, gradients, false);
+        }
     }
+}
+
+/// Which parts of a trunk are computed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Wants {
+    /// The actor's features.
+    pub actor: bool,
+    /// The state value.
+    pub critic: bool,
+}
+
+/// What a batch left behind in a [`Trunk`].
+#[derive(Debug)]
+pub struct TrunkPass {
+    shared: Pass,
+    /// Where it was wanted.
+    pub actor: Option<Pass>,
+    /// Where it was wanted; its output is [batch, 1].
+    pub critic: Option<Pass>,
 }
 
 fn expert_cnn(build: &mut Builder, image: (usize, usize, usize)) -> Trunk {

@@ -7,7 +7,7 @@
 //! With [`Precision::Bf16`] there is a second, shorter copy, which layers compute with; the flat buffer stays the one
 //! that counts.
 
-use std::cell::Cell;
+use std::cell::{Cell, Ref, RefCell};
 
 use dril_kinds::Precision;
 use dril_stage_api::StreamRng;
@@ -45,6 +45,18 @@ pub struct Parameters {
     tensors: Vec<Tensor>,
     /// None with 32 bits.
     short: Option<Short>,
+    /// Counts changes of values.
+    generation: Cell<u64>,
+    /// For each parameter, its weights in the order of the kernels, and those the other way round.
+    panels: [Vec<RefCell<Panels>>; 2],
+}
+
+/// The weights of a layer in the order of a kernel, made anew when they are needed after a change.
+#[derive(Debug, Default)]
+struct Panels {
+    numbers: Vec<f32>,
+    /// The generation that they are of; none before the first use.
+    made: Option<u64>,
 }
 
 /// The copy in 16 bits.
@@ -74,7 +86,9 @@ impl Parameters {
             flat.narrow(0, offset as i64, count).view(&*spec.shape).detach().set_requires_grad(true)
         });
         let tensors = tensors.collect();
-        let mut params = Self { specs, offsets, flat, tensors, short: None };
+        let panels = [(); 2].map(|()| specs.iter().map(|_| RefCell::default()).collect());
+        let generation = Cell::new(0);
+        let mut params = Self { specs, offsets, flat, tensors, short: None, generation, panels };
         if let Some(stream) = stream {
             for id in params.ids() {
                 let spec = params.spec(id);
@@ -146,9 +160,43 @@ impl Parameters {
 
     /// To be called after the values change.
     fn changed(&self) {
+        self.generation.set(self.generation.get() + 1);
         if let Some(short) = &self.short {
             short.stale.set(true);
         }
+    }
+
+    /// The values of one parameter in another order: `len` numbers that `make` has filled from the values, kept until
+    /// these change. A parameter has one such order.
+    pub fn panels(&self, id: ParamId, len: usize, make: impl FnOnce(&[f32], &mut [f32])) -> Ref<'_, [f32]> {
+        self.kept_panels(&self.panels[0][id.0], id, len, make)
+    }
+
+    /// As [`Parameters::panels`], with the order that the way back needs.
+    pub fn transposed_panels(
+        &self,
+        id: ParamId,
+        len: usize,
+        make: impl FnOnce(&[f32], &mut [f32]),
+    ) -> Ref<'_, [f32]> {
+        self.kept_panels(&self.panels[1][id.0], id, len, make)
+    }
+
+    fn kept_panels<'a>(
+        &self,
+        kept: &'a RefCell<Panels>,
+        id: ParamId,
+        len: usize,
+        make: impl FnOnce(&[f32], &mut [f32]),
+    ) -> Ref<'a, [f32]> {
+        let now = Some(self.generation.get());
+        if kept.borrow().made != now {
+            let mut panels = kept.borrow_mut();
+            panels.numbers.resize(len, 0.0);
+            make(self.slice(id), &mut panels.numbers);
+            panels.made = now;
+        }
+        Ref::map(kept.borrow(), |panels| panels.numbers.as_slice())
     }
 
     /// The values of one parameter, row-major.
@@ -173,8 +221,8 @@ impl Parameters {
         memory::values_mut(&mut self.flat).copy_from_slice(values);
     }
 
-    /// The gradients of a scalar with respect to these parameters. The graph is used up.
-    pub fn gradients(&self, loss: &Tensor, ids: &[ParamId]) -> Gradients {
+    /// The gradients of a scalar with respect to these parameters, by libtorch. The graph is used up.
+    pub fn torch_gradients(&self, loss: &Tensor, ids: &[ParamId]) -> Gradients {
         let inputs: Vec<&Tensor> = ids.iter().map(|id| self.weight(*id)).collect();
         let gradients = Tensor::run_backward(&[loss], &inputs, false, false);
         let dense = |g: Tensor| g.defined().then(|| g.to_kind(Kind::Float).contiguous());

@@ -9,16 +9,22 @@ pub mod beta;
 pub mod categorical;
 mod file;
 pub mod gaussian;
+mod head;
 mod rows;
+mod way;
 
+use dril_kinds::Precision;
 use dril_stage_api::{StageError, StreamRng};
 use serde::{Deserialize, Serialize};
 use tch::Tensor;
 
 use crate::imitation::action_loss;
-use crate::net::{Builder, Init, Network, Observation, ParamId, Parameters, Trunk, takes};
+use crate::net::{Builder, Gradients, Network, Observation, ParamId, Parameters, Trunk, Wants, takes};
 use crate::normalize::ObservationStatistics;
 use crate::spaces::Actions;
+
+use head::Head;
+use way::{Way, column};
 
 pub use dril_kinds::PolicyFamily;
 pub use rows::Rows;
@@ -71,13 +77,6 @@ impl Architecture {
     }
 }
 
-#[derive(Clone, Debug, PartialEq)]
-enum Head {
-    Gaussian { mean: crate::net::Sequential, log_std: ParamId },
-    Beta { alpha: crate::net::Sequential, beta: crate::net::Sequential },
-    Categorical { logits: crate::net::Sequential },
-}
-
 /// An agent that can act and learn.
 #[derive(Debug)]
 pub struct Policy {
@@ -97,6 +96,29 @@ pub struct Forward {
     pub distribution: Distribution,
     /// The state values, [batch].
     pub values: Tensor,
+    way: Way,
+}
+
+impl Forward {
+    /// The gradients of a scalar that was made of this answer, for the parameters asked for, in that order.
+    pub fn gradients(self, policy: &Policy, loss: &Tensor, ids: &[ParamId]) -> Gradients {
+        policy.gradients(self.way, loss, ids)
+    }
+}
+
+/// The actor's part of it.
+#[derive(Debug)]
+pub struct Answer {
+    /// The distribution over actions.
+    pub distribution: Distribution,
+    way: Way,
+}
+
+impl Answer {
+    /// As [`Forward::gradients`].
+    pub fn gradients(self, policy: &Policy, loss: &Tensor, ids: &[ParamId]) -> Gradients {
+        policy.gradients(self.way, loss, ids)
+    }
 }
 
 /// A batch of distributions over actions; every tensor is [batch, actions] or spreads to it.
@@ -202,18 +224,23 @@ impl Policy {
 
     /// The distribution and the value for a batch of observations (see [`crate::frames::FrameStore::gather`]).
     pub fn forward(&self, observations: &Tensor) -> Forward {
-        let (features, values) = self.trunk.both(&self.params, observations);
-        Forward { distribution: self.head.forward(&self.params, &features), values }
+        let (distribution, values, way) = self.answer(observations, Wants { actor: true, critic: true });
+        Forward { distribution, values, way }
     }
 
     /// The distribution only.
-    pub fn distribution(&self, observations: &Tensor) -> Distribution {
-        self.head.forward(&self.params, &self.trunk.actor(&self.params, observations))
+    pub fn act(&self, observations: &Tensor) -> Answer {
+        let (distribution, _, way) = self.answer(observations, Wants { actor: true, critic: false });
+        Answer { distribution, way }
     }
 
     /// The state values only, [batch].
     pub fn values(&self, observations: &Tensor) -> Tensor {
-        self.trunk.critic(&self.params, observations)
+        let wants = Wants { actor: false, critic: true };
+        match self.params.precision() {
+            Precision::Fp32 => column(self.trunk.pass(&self.params, observations, wants).critic.as_ref()),
+            Precision::Bf16 => self.trunk.torch_forward(&self.params, observations, wants).1,
+        }
     }
 
     /// The parameters that the mean action depends on or may: all but the critic's own.
@@ -254,48 +281,6 @@ fn name(network: Network) -> &'static str {
         Network::DrilCnn => "dril-cnn",
         Network::AtariCnn => "atari-cnn",
         Network::Mlp => "mlp",
-    }
-}
-
-impl Head {
-    fn build(build: &mut Builder, family: PolicyFamily, features: usize, actions: usize) -> Self {
-        use crate::net::{Activation, LayerInit, Sequential};
-        let mut linear = |name: &str, gain: f32| {
-            let mut layers = Sequential::default();
-            let init = LayerInit::Orthogonal(gain);
-            build.linear(&mut layers, name, (features, actions), init, Activation::Linear);
-            layers
-        };
-        match family {
-            PolicyFamily::Gaussian => {
-                let mean = linear("head.mean", 1.0);
-                Self::Gaussian {
-                    mean,
-                    log_std: build.param("head.log_std", &[actions as i64], Init::Constant(0.0)),
-                }
-            }
-            PolicyFamily::Beta => {
-                Self::Beta { alpha: linear("head.alpha", 1.0), beta: linear("head.beta", 1.0) }
-            }
-            // Almost equal probabilities at the start.
-            PolicyFamily::Categorical => Self::Categorical { logits: linear("head.logits", 0.01) },
-        }
-    }
-
-    fn forward(&self, params: &Parameters, features: &Tensor) -> Distribution {
-        match self {
-            Self::Gaussian { mean, log_std } => Distribution::Gaussian {
-                mean: mean.forward(params, features),
-                log_std: params.tensor(*log_std).shallow_clone(),
-            },
-            Self::Beta { alpha, beta } => Distribution::Beta {
-                alpha: beta::shape(&alpha.forward(params, features)),
-                beta: beta::shape(&beta.forward(params, features)),
-            },
-            Self::Categorical { logits } => {
-                Distribution::Categorical { logits: logits.forward(params, features) }
-            }
-        }
     }
 }
 

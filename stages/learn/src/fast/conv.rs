@@ -1,0 +1,317 @@
+//! Convolutions over pictures with the channels last, and their two gradients.
+//!
+//! A window of such a picture is `kernel` runs of `kernel · channels` numbers that lie side by side, so a convolution is
+//! a product of matrices whose rows need not be gathered first. Each kernel holds a small block of results in registers
+//! while it walks along a sum. Measured beside the convolutions of libtorch on a processor with AVX2: see
+//! docs/performance.md.
+
+use std::array::from_fn;
+
+use super::vector::{LANES, Lanes, add_scaled, lanes, lanes_mut, widest};
+
+/// A convolution without padding.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shape {
+    /// Rows of the input picture.
+    pub height: usize,
+    /// Columns of the input picture.
+    pub width: usize,
+    /// Numbers for each of its pixels; `kernel · channels` is a multiple of [`LANES`].
+    pub channels: usize,
+    /// Numbers for each pixel of the output, a multiple of [`LANES`].
+    pub filters: usize,
+    /// Rows and columns of the window.
+    pub kernel: usize,
+    /// Pixels from one window to the next.
+    pub stride: usize,
+}
+
+impl Shape {
+    /// Rows and columns of the output picture.
+    pub fn output(&self) -> (usize, usize) {
+        let along = |pixels: usize| (pixels - self.kernel) / self.stride + 1;
+        (along(self.height), along(self.width))
+    }
+
+    /// Pixels of the output picture.
+    pub fn positions(&self) -> usize {
+        let (height, width) = self.output();
+        height * width
+    }
+
+    /// Numbers in a window.
+    pub fn depth(&self) -> usize {
+        self.kernel * self.run()
+    }
+
+    /// How many weights there are.
+    pub fn weights_len(&self) -> usize {
+        self.depth() * self.filters
+    }
+
+    /// Numbers of an input picture.
+    pub fn input_len(&self) -> usize {
+        self.height * self.line()
+    }
+
+    /// Numbers of an output picture.
+    pub fn output_len(&self) -> usize {
+        self.positions() * self.filters
+    }
+
+    /// Numbers of a window that lie side by side.
+    fn run(&self) -> usize {
+        self.kernel * self.channels
+    }
+
+    fn line(&self) -> usize {
+        self.width * self.channels
+    }
+
+    /// Where the window of each output pixel begins in the input picture.
+    fn windows(&self) -> Vec<usize> {
+        let (height, width) = self.output();
+        let at = |row, column| (row * self.width + column) * self.stride * self.channels;
+        (0..height).flat_map(|row| (0..width).map(move |column| at(row, column))).collect()
+    }
+}
+
+/// Output pixels whose windows and gradients stay near while all numbers of the window pass by.
+const NEAR: usize = 32;
+
+/// Rows that are computed one block of filters after the other while their windows are near.
+const CHUNK: usize = 96;
+
+widest! {
+    /// The convolution with bias and ReLU of any number of pictures, one after the other in `input` and `output`.
+    /// `weights` are panels: [filters / LANES, depth, LANES].
+    pub fn forward(shape: &Shape, input: &[f32], weights: &[f32], bias: &[f32], output: &mut [f32]) = forward_in
+}
+
+#[inline(always)]
+fn forward_in<const ROWS: usize>(
+    shape: &Shape,
+    input: &[f32],
+    weights: &[f32],
+    bias: &[f32],
+    output: &mut [f32],
+) {
+    let (windows, filters) = (shape.windows(), shape.filters);
+    let (positions, size) = (windows.len(), shape.input_len());
+    let start = |row: usize| row / positions * size + windows[row % positions];
+    for (chunk, output) in output.chunks_mut(CHUNK * filters).enumerate() {
+        let first = chunk * CHUNK;
+        let rows = output.len() / filters;
+        for (panel, weights) in weights.chunks_exact(shape.depth() * LANES).enumerate() {
+            let at = panel * LANES;
+            let bias = lanes(&bias[at..]);
+            let mut row = 0;
+            while row + ROWS <= rows {
+                let starts = from_fn(|r| start(first + row + r));
+                let sums = window_sums::<ROWS>(shape, input, starts, weights, bias);
+                for (r, sums) in sums.iter().enumerate() {
+                    put_rectified(&mut output[(row + r) * filters + at..], sums);
+                }
+                row += ROWS;
+            }
+            for row in row..rows {
+                let [sums] = window_sums(shape, input, [start(first + row)], weights, bias);
+                put_rectified(&mut output[row * filters + at..], &sums);
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn put_rectified(output: &mut [f32], sums: &Lanes) {
+    *lanes_mut(output) = from_fn(|lane| sums[lane].max(0.0));
+}
+
+/// Sums over the windows that begin at `starts`, for the filters of one panel.
+#[inline(always)]
+fn window_sums<const ROWS: usize>(
+    shape: &Shape,
+    input: &[f32],
+    starts: [usize; ROWS],
+    weights: &[f32],
+    bias: &Lanes,
+) -> [Lanes; ROWS] {
+    let (run, line) = (shape.run(), shape.line());
+    let mut sums = [*bias; ROWS];
+    for (ky, weights) in weights.chunks_exact(run * LANES).enumerate() {
+        let rows: [&[f32]; ROWS] = from_fn(|r| &input[starts[r] + ky * line..][..run]);
+        for k in 0..run {
+            let weights = lanes(&weights[k * LANES..][..LANES]);
+            for r in 0..ROWS {
+                add_scaled(&mut sums[r], rows[r][k], weights);
+            }
+        }
+    }
+    sums
+}
+
+widest! {
+    /// Adds the gradients of the weights to `sums` (panels, as in [`forward`]): `gradient` is that of the sums before
+    /// the ReLU, for as many pictures as `input` holds.
+    pub fn add_weight_gradient(shape: &Shape, input: &[f32], gradient: &[f32], sums: &mut [f32]) = weight_gradient_in
+}
+
+#[inline(always)]
+fn weight_gradient_in<const ROWS: usize>(shape: &Shape, input: &[f32], gradient: &[f32], sums: &mut [f32]) {
+    let windows = shape.windows();
+    let pictures = input.chunks_exact(shape.input_len()).zip(gradient.chunks_exact(shape.output_len()));
+    for (input, gradient) in pictures {
+        for (windows, gradient) in windows.chunks(NEAR).zip(gradient.chunks(NEAR * shape.filters)) {
+            for (panel, sums) in sums.chunks_exact_mut(shape.depth() * LANES).enumerate() {
+                let gradient = (&gradient[panel * LANES..], shape.filters);
+                add_panel::<ROWS>(shape, windows, input, gradient, sums);
+            }
+        }
+    }
+}
+
+/// What some output pixels add to the sums of one panel.
+#[inline(always)]
+fn add_panel<const ROWS: usize>(
+    shape: &Shape,
+    windows: &[usize],
+    input: &[f32],
+    gradient: (&[f32], usize),
+    sums: &mut [f32],
+) {
+    let run = shape.run();
+    for (ky, sums) in sums.chunks_exact_mut(run * LANES).enumerate() {
+        let input = &input[ky * shape.line()..];
+        let mut k = 0;
+        while k + ROWS <= run {
+            add_products::<ROWS>(windows, &input[k..], gradient, &mut sums[k * LANES..]);
+            k += ROWS;
+        }
+        while k + 4 <= run {
+            add_products::<4>(windows, &input[k..], gradient, &mut sums[k * LANES..]);
+            k += 4;
+        }
+        for k in k..run {
+            add_products::<1>(windows, &input[k..], gradient, &mut sums[k * LANES..]);
+        }
+    }
+}
+
+/// `sums[r] += Σ over windows of input[r] · gradient`, for `ROWS` numbers of the window.
+#[inline(always)]
+fn add_products<const ROWS: usize>(
+    windows: &[usize],
+    input: &[f32],
+    (gradient, filters): (&[f32], usize),
+    sums: &mut [f32],
+) {
+    let mut products = [[0.0; LANES]; ROWS];
+    for (&window, gradient) in windows.iter().zip(gradient.chunks(filters)) {
+        let (numbers, gradient) = (&input[window..][..ROWS], lanes(gradient));
+        for (products, number) in products.iter_mut().zip(numbers) {
+            add_scaled(products, *number, gradient);
+        }
+    }
+    add_rows(sums, &products);
+}
+
+#[inline(always)]
+fn add_rows<const ROWS: usize>(sums: &mut [f32], rows: &[Lanes; ROWS]) {
+    for (sums, row) in sums.chunks_exact_mut(LANES).zip(rows) {
+        let sums = lanes_mut(sums);
+        *sums = from_fn(|lane| sums[lane] + row[lane]);
+    }
+}
+
+widest! {
+    /// The gradient of the input pictures from that of the sums before the ReLU. `transposed` are panels of the weights
+    /// the other way round: [depth / LANES, filters, LANES].
+    pub fn input_gradient(shape: &Shape, gradient: &[f32], transposed: &[f32], output: &mut [f32]) = input_gradient_in
+}
+
+#[inline(always)]
+fn input_gradient_in<const ROWS: usize>(
+    shape: &Shape,
+    gradient: &[f32],
+    transposed: &[f32],
+    output: &mut [f32],
+) {
+    let (windows, filters) = (shape.windows(), shape.filters);
+    let panels_in_run = shape.run() / LANES;
+    let pictures = gradient.chunks_exact(shape.output_len()).zip(output.chunks_exact_mut(shape.input_len()));
+    for (gradient, output) in pictures {
+        output.fill(0.0);
+        for (panel, weights) in transposed.chunks_exact(filters * LANES).enumerate() {
+            let at = panel / panels_in_run * shape.line() + panel % panels_in_run * LANES;
+            let mut position = 0;
+            while position + ROWS <= windows.len() {
+                let gradient = &gradient[position * filters..];
+                let starts = from_fn(|r| windows[position + r] + at);
+                scatter::<ROWS>(gradient, filters, weights, output, starts);
+                position += ROWS;
+            }
+            for position in position..windows.len() {
+                let gradient = &gradient[position * filters..];
+                scatter::<1>(gradient, filters, weights, output, [windows[position] + at]);
+            }
+        }
+    }
+}
+
+/// Adds what `ROWS` output pixels give back to `LANES` numbers of each of their windows. Windows overlap, so they are
+/// added one after the other.
+#[inline(always)]
+fn scatter<const ROWS: usize>(
+    gradient: &[f32],
+    filters: usize,
+    weights: &[f32],
+    output: &mut [f32],
+    starts: [usize; ROWS],
+) {
+    let rows: [&[f32]; ROWS] = from_fn(|r| &gradient[r * filters..][..filters]);
+    let mut sums = [[0.0; LANES]; ROWS];
+    for filter in 0..filters {
+        let weights = lanes(&weights[filter * LANES..][..LANES]);
+        for r in 0..ROWS {
+            add_scaled(&mut sums[r], rows[r][filter], weights);
+        }
+    }
+    for (start, sums) in starts.into_iter().zip(&sums) {
+        let output = lanes_mut(&mut output[start..]);
+        *output = from_fn(|lane| output[lane] + sums[lane]);
+    }
+}
+
+/// Weights as [`forward`] takes them, [filters / LANES, depth, LANES]. `weight(filter, place)` gives the weight of a
+/// number in the window.
+pub fn panels(shape: &Shape, weight: impl Fn(usize, usize) -> f32, panels: &mut [f32]) {
+    for (panel, numbers) in panels.chunks_exact_mut(shape.depth() * LANES).enumerate() {
+        for (place, numbers) in numbers.chunks_exact_mut(LANES).enumerate() {
+            for (lane, number) in numbers.iter_mut().enumerate() {
+                *number = weight(panel * LANES + lane, place);
+            }
+        }
+    }
+}
+
+/// Weights as [`input_gradient`] takes them, [depth / LANES, filters, LANES]; see [`panels`].
+pub fn transposed_panels(shape: &Shape, weight: impl Fn(usize, usize) -> f32, panels: &mut [f32]) {
+    for (panel, numbers) in panels.chunks_exact_mut(shape.filters * LANES).enumerate() {
+        for (filter, numbers) in numbers.chunks_exact_mut(LANES).enumerate() {
+            for (lane, number) in numbers.iter_mut().enumerate() {
+                *number = weight(filter, panel * LANES + lane);
+            }
+        }
+    }
+}
+
+/// Calls `put(filter, place, sum)` for each number of panels that [`add_weight_gradient`] has filled.
+pub fn read_panels(shape: &Shape, panels: &[f32], mut put: impl FnMut(usize, usize, f32)) {
+    for (panel, sums) in panels.chunks_exact(shape.depth() * LANES).enumerate() {
+        for (place, sums) in sums.chunks_exact(LANES).enumerate() {
+            for (lane, sum) in sums.iter().enumerate() {
+                put(panel * LANES + lane, place, *sum);
+            }
+        }
+    }
+}

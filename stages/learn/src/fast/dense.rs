@@ -1,0 +1,186 @@
+//! Fully connected layers and their two gradients, with weights as PyTorch keeps them: [outputs, inputs].
+//!
+//! For minibatches as small as these, libtorch spends much of its time on its way to the product; for the small networks
+//! of vectors nearly all of it.
+
+use std::array::from_fn;
+
+use super::vector::{LANES, Lanes, add_scaled, lanes, lanes_mut, widest};
+
+/// How many inputs and outputs a layer has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shape {
+    /// Numbers in.
+    pub inputs: usize,
+    /// Numbers out.
+    pub outputs: usize,
+}
+
+impl Shape {
+    /// Numbers of [`panels`].
+    pub fn panels_len(self) -> usize {
+        self.outputs.next_multiple_of(LANES) * self.inputs
+    }
+}
+
+/// Weights as [`forward`] takes them: [outputs / LANES, inputs, LANES], the last panel filled up with zeros.
+pub fn panels(Shape { inputs, outputs }: Shape, weights: &[f32], panels: &mut [f32]) {
+    for (first, panel) in panels.chunks_exact_mut(inputs * LANES).enumerate() {
+        let first = first * LANES;
+        for lane in 0..LANES {
+            let column = panel[lane..].iter_mut().step_by(LANES);
+            match first + lane < outputs {
+                true => column.zip(&weights[(first + lane) * inputs..]).for_each(|(to, from)| *to = *from),
+                false => column.for_each(|to| *to = 0.0),
+            }
+        }
+    }
+}
+
+widest! {
+    /// `output = input · weightsᵀ + bias` for any number of rows; the weights are [`panels`].
+    pub fn forward(shape: Shape, input: &[f32], panels: &[f32], bias: &[f32], output: &mut [f32]) = forward_in
+}
+
+#[inline(always)]
+fn forward_in<const ROWS: usize>(
+    shape: Shape,
+    input: &[f32],
+    panels: &[f32],
+    bias: &[f32],
+    output: &mut [f32],
+) {
+    let Shape { inputs, outputs } = shape;
+    let rows = input.len() / inputs;
+    for (first, panel) in panels.chunks_exact(inputs * LANES).enumerate() {
+        let first = first * LANES;
+        let used = LANES.min(outputs - first);
+        let mut start = [0.0; LANES];
+        start[..used].copy_from_slice(&bias[first..][..used]);
+        let mut row = 0;
+        while row + ROWS <= rows {
+            let sums = row_sums::<ROWS>(inputs, &input[row * inputs..], panel, &start);
+            for (r, sums) in sums.iter().enumerate() {
+                output[(row + r) * outputs + first..][..used].copy_from_slice(&sums[..used]);
+            }
+            row += ROWS;
+        }
+        for row in row..rows {
+            let [sums] = row_sums(inputs, &input[row * inputs..], panel, &start);
+            output[row * outputs + first..][..used].copy_from_slice(&sums[..used]);
+        }
+    }
+}
+
+#[inline(always)]
+fn row_sums<const ROWS: usize>(inputs: usize, input: &[f32], panel: &[f32], start: &Lanes) -> [Lanes; ROWS] {
+    let rows: [&[f32]; ROWS] = from_fn(|r| &input[r * inputs..][..inputs]);
+    let mut sums = [*start; ROWS];
+    for k in 0..inputs {
+        let weights = lanes(&panel[k * LANES..][..LANES]);
+        for r in 0..ROWS {
+            add_scaled(&mut sums[r], rows[r][k], weights);
+        }
+    }
+    sums
+}
+
+widest! {
+    /// The gradient of the weights, written over `sums`: gradientᵀ · input.
+    pub fn weight_gradient(shape: Shape, input: &[f32], gradient: &[f32], sums: &mut [f32]) = weight_gradient_in
+}
+
+#[inline(always)]
+fn weight_gradient_in<const ROWS: usize>(shape: Shape, input: &[f32], gradient: &[f32], sums: &mut [f32]) {
+    let Shape { inputs, outputs } = shape;
+    let whole = inputs / LANES * LANES;
+    for at in (0..whole).step_by(LANES) {
+        let mut output = 0;
+        while output + ROWS <= outputs {
+            products::<ROWS>(shape, input, gradient, (at, output), sums);
+            output += ROWS;
+        }
+        for output in output..outputs {
+            products::<1>(shape, input, gradient, (at, output), sums);
+        }
+    }
+    for output in 0..outputs {
+        for at in whole..inputs {
+            let rows = input.chunks_exact(inputs).zip(gradient.chunks_exact(outputs));
+            sums[output * inputs + at] =
+                rows.fold(0.0, |sum, (input, gradient)| gradient[output].mul_add(input[at], sum));
+        }
+    }
+}
+
+/// `LANES` inputs from `at` on, for `ROWS` outputs from `output` on.
+#[inline(always)]
+fn products<const ROWS: usize>(
+    Shape { inputs, outputs }: Shape,
+    input: &[f32],
+    gradient: &[f32],
+    (at, output): (usize, usize),
+    sums: &mut [f32],
+) {
+    let mut products = [[0.0; LANES]; ROWS];
+    for (input, gradient) in input.chunks_exact(inputs).zip(gradient.chunks_exact(outputs)) {
+        let (input, gradient) = (lanes(&input[at..]), &gradient[output..][..ROWS]);
+        for (products, gradient) in products.iter_mut().zip(gradient) {
+            add_scaled(products, *gradient, input);
+        }
+    }
+    for (r, products) in products.iter().enumerate() {
+        *lanes_mut(&mut sums[(output + r) * inputs + at..]) = *products;
+    }
+}
+
+widest! {
+    /// The gradient of the input, written over `output`: gradient · weights.
+    pub fn input_gradient(shape: Shape, gradient: &[f32], weights: &[f32], output: &mut [f32]) = input_gradient_in
+}
+
+#[inline(always)]
+fn input_gradient_in<const ROWS: usize>(shape: Shape, gradient: &[f32], weights: &[f32], output: &mut [f32]) {
+    let Shape { inputs, outputs } = shape;
+    let rows = output.len() / inputs;
+    let whole = inputs / LANES * LANES;
+    for at in (0..whole).step_by(LANES) {
+        let mut row = 0;
+        while row + ROWS <= rows {
+            combine::<ROWS>(shape, gradient, weights, (at, row), output);
+            row += ROWS;
+        }
+        for row in row..rows {
+            combine::<1>(shape, gradient, weights, (at, row), output);
+        }
+    }
+    for row in 0..rows {
+        for at in whole..inputs {
+            let columns = gradient[row * outputs..][..outputs].iter().zip(weights.chunks_exact(inputs));
+            output[row * inputs + at] =
+                columns.fold(0.0, |sum, (gradient, weights)| gradient.mul_add(weights[at], sum));
+        }
+    }
+}
+
+/// `LANES` inputs from `at` on, for `ROWS` rows from `row` on.
+#[inline(always)]
+fn combine<const ROWS: usize>(
+    Shape { inputs, outputs }: Shape,
+    gradient: &[f32],
+    weights: &[f32],
+    (at, row): (usize, usize),
+    output: &mut [f32],
+) {
+    let rows: [&[f32]; ROWS] = from_fn(|r| &gradient[(row + r) * outputs..][..outputs]);
+    let mut sums = [[0.0; LANES]; ROWS];
+    for (o, weights) in weights.chunks_exact(inputs).take(outputs).enumerate() {
+        let weights = lanes(&weights[at..]);
+        for r in 0..ROWS {
+            add_scaled(&mut sums[r], rows[r][o], weights);
+        }
+    }
+    for (r, sums) in sums.iter().enumerate() {
+        *lanes_mut(&mut output[(row + r) * inputs + at..]) = *sums;
+    }
+}
