@@ -1,75 +1,64 @@
-//! Fills convex polygons, one sample per pixel.
+//! Convex polygons, from their corners to the columns that they cover in each row; and the plain picture that samples
+//! them once per pixel.
 
 use std::ops::Range;
+
+use crate::surface::Surface;
 
 /// A point of the picture: x to the right, y down, in pixels; the pixel at column c and row r has its centre at
 /// (c + 0.5, r + 0.5).
 pub type Dot = [f64; 2];
 
-/// Fractional bits of a column while an edge is followed from row to row.
-const BITS: u32 = 32;
+/// Fractional bits of a column that is a whole number.
+const FRACTION: u32 = 32;
+/// Half a pixel.
+const HALF: i64 = 1 << (FRACTION - 1);
 
-/// A picture with one byte per pixel.
+/// A column, to a fraction of a pixel.
+pub trait Column: Copy + Default {
+    /// Notes where a straight edge crosses one row after the other: `at` in the first, then `slope` farther in each.
+    fn follow(crossings: &mut [Self], at: f64, slope: f64);
+}
+
+/// In fixed point.
+impl Column for i64 {
+    fn follow(crossings: &mut [Self], at: f64, slope: f64) {
+        let (mut at, step) = (fixed(at), fixed(slope));
+        for crossing in crossings {
+            *crossing = at;
+            at = at.wrapping_add(step);
+        }
+    }
+}
+
+impl Column for f32 {
+    fn follow(crossings: &mut [Self], at: f64, slope: f64) {
+        let (at, slope) = (at as f32, slope as f32);
+        for (row, crossing) in crossings.iter_mut().enumerate() {
+            *crossing = at + slope * row as u32 as f32;
+        }
+    }
+}
+
+/// Where the polygon at hand begins and ends, by row.
 #[derive(Clone, Debug)]
-pub struct Canvas {
-    width: usize,
-    height: usize,
-    pixels: Vec<u8>,
-    /// Where the polygon at hand begins and ends, by row, in fixed point.
-    left: Vec<i64>,
-    right: Vec<i64>,
-    /// What is added to both before their whole part is the first column and the one after the last, by row modulo 4.
-    rounding: [[i64; 2]; 4],
+pub struct Edges<C> {
+    /// Where it begins; only the rows that [`Edges::trace`] gave mean something.
+    pub left: Vec<C>,
+    /// Where it ends.
+    pub right: Vec<C>,
 }
 
-/// Where a canvas looks at what it fills.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Sampling {
-    /// How far right of the pixel's centre the sample is, in pixels, by row modulo 4.
-    pub shifts: [f64; 4],
-    /// By how much polygons are widened to both sides, in pixels.
-    pub growth: f64,
-}
-
-impl Canvas {
-    /// A picture of zeros.
-    pub fn new(width: usize, height: usize) -> Self {
-        Self::with_sampling(width, height, Sampling::default())
+impl<C: Column> Edges<C> {
+    /// Room for so many rows.
+    pub fn new(rows: usize) -> Self {
+        Self { left: vec![C::default(); rows], right: vec![C::default(); rows] }
     }
 
-    /// A picture of zeros, sampled elsewhere than at its pixels' centres.
-    pub fn with_sampling(width: usize, height: usize, sampling: Sampling) -> Self {
-        let rounding = sampling.shifts.map(|shift| {
-            let middle = 0.5 - shift;
-            [fixed(middle - sampling.growth), fixed(middle + sampling.growth)]
-        });
-        let (left, right) = (vec![0; height], vec![0; height]);
-        Self { width, height, pixels: vec![0; width * height], left, right, rounding }
-    }
-
-    /// Columns.
-    pub fn width(&self) -> usize {
-        self.width
-    }
-
-    /// Rows.
-    pub fn height(&self) -> usize {
-        self.height
-    }
-
-    /// Row-major, row 0 on top.
-    pub fn pixels(&self) -> &[u8] {
-        &self.pixels
-    }
-
-    /// Pixels of one row.
-    pub fn row_mut(&mut self, row: usize) -> &mut [u8] {
-        &mut self.pixels[row * self.width..(row + 1) * self.width]
-    }
-
-    /// Fills the convex polygon (corners in either turning direction) in the rows above `floor`.
-    pub fn fill(&mut self, corners: &[Dot], ink: u8, floor: usize) {
-        let Some(last) = corners.last() else { return };
+    /// Follows a convex polygon (corners in either turning direction) through the rows above `floor`; gives the rows
+    /// that it covers in a picture of so many columns.
+    pub fn trace(&mut self, corners: &[Dot], columns: usize, floor: usize) -> Range<usize> {
+        let Some(last) = corners.last() else { return 0..0 };
         let (mut top, mut bottom) = (f64::INFINITY, f64::NEG_INFINITY);
         let (mut from, mut to) = (f64::INFINITY, f64::NEG_INFINITY);
         let (mut area, mut before) = (0.0, last);
@@ -79,9 +68,9 @@ impl Canvas {
             area += before[0] * corner[1] - corner[0] * before[1];
             before = corner;
         }
-        let rows = samples(top, bottom, floor.min(self.height));
-        if rows.is_empty() || to < -1.0 || from > self.width as f64 + 1.0 {
-            return;
+        let rows = samples(top, bottom, floor.min(self.left.len()));
+        if rows.is_empty() || to < -1.0 || from > columns as f64 + 1.0 {
+            return 0..0;
         }
         // Clockwise on the screen, edges that run down are on the right.
         let mut before = last;
@@ -92,81 +81,92 @@ impl Canvas {
             follow_edge(side, *upper, *lower, rows.end);
             before = corner;
         }
-        self.fill_rows(rows, ink);
+        rows
+    }
+}
+
+/// A picture with one byte per pixel, sampled in the pixels' centres.
+#[derive(Clone, Debug)]
+pub struct Canvas {
+    width: usize,
+    height: usize,
+    pixels: Vec<u8>,
+    edges: Edges<i64>,
+}
+
+impl Canvas {
+    /// A picture of zeros.
+    pub fn new(width: usize, height: usize) -> Self {
+        Self { width, height, pixels: vec![0; width * height], edges: Edges::new(height) }
     }
 
-    fn fill_rows(&mut self, rows: Range<usize>, ink: u8) {
+    /// Row-major, row 0 on top.
+    pub fn pixels(&self) -> &[u8] {
+        &self.pixels
+    }
+
+    /// The same, to draw over.
+    pub fn pixels_mut(&mut self) -> &mut [u8] {
+        &mut self.pixels
+    }
+}
+
+impl Surface for Canvas {
+    // A sample is covered or not: there are no seams.
+    const MOSAIC_FROM_FRONT: bool = false;
+
+    fn begin_mosaic(&mut self) {}
+
+    fn end_mosaic(&mut self, _floor: usize) {}
+
+    fn size(&self) -> [usize; 2] {
+        [self.width, self.height]
+    }
+
+    fn clear(&mut self, ink: u8, floor: usize) {
+        let end = floor.min(self.height) * self.width;
+        self.pixels[..end].fill(ink);
+    }
+
+    fn fill(&mut self, corners: &[Dot], ink: u8, floor: usize) {
+        let rows = self.edges.trace(corners, self.width, floor);
         let width = self.width as i64;
         let lines = self.pixels[rows.start * self.width..].chunks_exact_mut(self.width.max(1));
-        let spans = self.left[rows.clone()].iter().zip(&self.right[rows.clone()]);
-        for ((line, (left, right)), row) in lines.zip(spans).zip(rows) {
-            let [first, end] = self.rounding[row % 4];
-            let column = |at: i64| (at >> BITS).clamp(0, width) as usize;
-            let (first, end) = (column(left.saturating_add(first)), column(right.saturating_add(end)));
-            if let Some(span) = line.get_mut(first..end) {
+        let spans = self.edges.left[rows.clone()].iter().zip(&self.edges.right[rows]);
+        for (line, (left, right)) in lines.zip(spans) {
+            let column = |at: i64| (at.saturating_add(HALF) >> FRACTION).clamp(0, width) as usize;
+            if let Some(span) = line.get_mut(column(*left)..column(*right)) {
                 span.fill(ink);
             }
         }
     }
 
-    /// Fills the axis-parallel rectangle between two corners.
-    pub fn fill_box(&mut self, [x0, y0]: Dot, [x1, y1]: Dot, ink: u8) {
+    fn fill_box(&mut self, [x0, y0]: Dot, [x1, y1]: Dot, ink: u8) {
         let columns = samples(x0.min(x1), x0.max(x1), self.width);
         for row in samples(y0.min(y1), y0.max(y1), self.height) {
-            self.row_mut(row)[columns.clone()].fill(ink);
-        }
-    }
-}
-
-/// Averages squares of `samples` x `samples` into `to`, row-major; `look_up` gives the channels of a sample, `loss` is
-/// taken off every level.
-pub fn average<const N: usize>(
-    canvas: &Canvas,
-    samples: usize,
-    loss: u8,
-    look_up: impl Fn(u8) -> [u8; N],
-    to: &mut [u8],
-) {
-    let columns = canvas.width() / samples;
-    for (at, pixel) in to.chunks_exact_mut(N).enumerate() {
-        let (row, column) = (at / columns, at % columns);
-        let mut sums = [0u32; N];
-        for line in row * samples..(row + 1) * samples {
-            let from = line * canvas.width() + column * samples;
-            for ink in &canvas.pixels()[from..from + samples] {
-                for (sum, level) in sums.iter_mut().zip(look_up(*ink)) {
-                    *sum += u32::from(level);
-                }
-            }
-        }
-        for (level, sum) in pixel.iter_mut().zip(sums) {
-            *level = ((sum / (samples * samples) as u32) as u8).saturating_sub(loss);
+            self.pixels[row * self.width..][columns.clone()].fill(ink);
         }
     }
 }
 
 /// Notes where an edge crosses the middle of each row.
-fn follow_edge(side: &mut [i64], upper: Dot, lower: Dot, floor: usize) {
+fn follow_edge<C: Column>(side: &mut [C], upper: Dot, lower: Dot, floor: usize) {
     let rows = samples(upper[1], lower[1], floor);
     if rows.is_empty() {
         return;
     }
     let slope = (lower[0] - upper[0]) / (lower[1] - upper[1]);
-    let mut at = fixed(upper[0] + (rows.start as f64 + 0.5 - upper[1]) * slope);
-    let step = fixed(slope);
-    for crossing in &mut side[rows] {
-        *crossing = at;
-        at = at.wrapping_add(step);
-    }
+    let at = upper[0] + (rows.start as f64 + 0.5 - upper[1]) * slope;
+    C::follow(&mut side[rows], at, slope);
 }
 
 /// In fixed point; far outside values stop at the ends.
 fn fixed(value: f64) -> i64 {
-    (value * (1i64 << BITS) as f64) as i64
+    (value * (1i64 << FRACTION) as f64) as i64
 }
 
 /// The samples 0.5, 1.5, .. in [from, to), as their indices below `limit`.
-fn samples(from: f64, to: f64, limit: usize) -> Range<usize> {
+pub fn samples(from: f64, to: f64, limit: usize) -> Range<usize> {
     // A cast of a float cuts off and saturates, and NaN becomes 0; `floor` and `ceil` would be calls on older machines.
     let index = |at: f64| ((at + 0.5) as i32).max(0) as usize;
     let (from, to) = (index(from).min(limit), index(to).min(limit));
@@ -204,14 +204,13 @@ mod tests {
             turn in 0.0..6.3f64,
             n in 3usize..9,
             reversed: bool,
-            shifts in prop::array::uniform4(-0.4..0.4f64),
         ) {
             let corners = polygon(centre, radius, turn, n, reversed);
-            let mut canvas = Canvas::with_sampling(20, 16, Sampling { shifts, growth: 0.0 });
+            let mut canvas = Canvas::new(20, 16);
             canvas.fill(&corners, 1, 14);
             for row in 0..16 {
                 for column in 0..20 {
-                    let sample = [column as f64 + 0.5 + shifts[row % 4], row as f64 + 0.5];
+                    let sample = [column as f64 + 0.5, row as f64 + 0.5];
                     let wanted = row < 14 && inside(&corners, sample);
                     prop_assert_eq!(canvas.pixels()[row * 20 + column] == 1, wanted, "{}, {}", row, column);
                 }

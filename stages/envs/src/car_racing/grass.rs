@@ -3,21 +3,20 @@
 use super::paint::Painter;
 use super::palette;
 use super::track::PLAYFIELD;
+use crate::surface::Surface;
 
 /// Squares of the pattern along half the playfield; every other one in both directions is lighter.
 const HALF_SQUARES: i32 = 20;
 /// Side of a square, world units.
 const SQUARE: f64 = PLAYFIELD / HALF_SQUARES as f64;
 
-impl Painter<'_> {
+impl<S: Surface> Painter<'_, S> {
     /// Black, the playfield, and its lighter squares.
     pub fn grass(&mut self) {
         let (middle, radius) = self.camera.view();
         let inside = middle.iter().all(|at| at.abs() + radius < PLAYFIELD);
         let ground = self.inks.of(if inside { palette::GRASS } else { palette::BLACK });
-        for row in 0..self.floor {
-            self.canvas.row_mut(row).fill(ground);
-        }
+        self.surface.clear(ground, self.floor);
         if !inside {
             self.square([-PLAYFIELD; 2], 2.0 * PLAYFIELD, palette::GRASS);
         }

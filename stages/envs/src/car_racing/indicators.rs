@@ -4,7 +4,7 @@ use super::camera::WINDOW;
 use super::palette::{self, Colour, Inks};
 use super::scene::Scene;
 use crate::CarRacingVersion;
-use crate::raster::Canvas;
+use crate::surface::Surface;
 
 /// Window pixels of a gauge's unit: across and up.
 const UNIT: [f64; 2] = [WINDOW[0] / 40.0, WINDOW[1] / 40.0];
@@ -38,14 +38,14 @@ fn gauges(scene: &Scene<'_>) -> [(f64, Gauge); 7] {
 }
 
 /// Draws bar and gauges; the later version leaves out a gauge at rest.
-pub fn draw(canvas: &mut Canvas, scene: &Scene<'_>, inks: &Inks, version: CarRacingVersion) {
-    let scale = [canvas.width() as f64 / WINDOW[0], canvas.height() as f64 / WINDOW[1]];
+pub fn draw<S: Surface>(surface: &mut S, scene: &Scene<'_>, inks: &Inks, version: CarRacingVersion) {
+    let scale = [0, 1].map(|axis| surface.size()[axis] as f64 / WINDOW[axis]);
     let dot = |[x, y]: [f64; 2]| [x * scale[0], (WINDOW[1] - y) * scale[1]];
-    canvas.fill_box(dot([0.0, 0.0]), dot([WINDOW[0], 5.0 * UNIT[1]]), inks.of(palette::BLACK));
+    surface.fill_box(dot([0.0, 0.0]), dot([WINDOW[0], 5.0 * UNIT[1]]), inks.of(palette::BLACK));
     for (value, (from, to, colour)) in gauges(scene) {
         if version == CarRacingVersion::V3 && value.abs() <= AT_REST {
             continue;
         }
-        canvas.fill_box(dot(from), dot(to), inks.of(colour));
+        surface.fill_box(dot(from), dot(to), inks.of(colour));
     }
 }

@@ -25,7 +25,7 @@ pub mod world;
 use dril_stage_api::Seed;
 use rand::Rng;
 
-use crate::env::checked;
+use crate::played::{Game, Played};
 use crate::preprocess::{self, FULL, SIDE};
 use crate::{
     ActionSpace, CarRacingConfig, Env, EnvError, EnvSnapshot, Frame, ObservationSpace, Picture, Step,
@@ -39,8 +39,6 @@ use track::{DRAWS, Track};
 const DIMS: usize = 2;
 /// Attempts after which the track draws cannot be uniform: one in ten fails.
 const MOST_ATTEMPTS: usize = 1000;
-/// Samples per pixel and axis of a picture for people.
-const PICTURE_SAMPLES: usize = 3;
 
 /// CarRacing as the thesis's policies see it: 84 x 84 grey, two actions.
 ///
@@ -49,13 +47,7 @@ pub struct CarRacing {
     config: CarRacingConfig,
     renderer: Renderer,
     frame: Box<[u8; SIDE * SIDE]>,
-    episode: Option<Episode>,
-}
-
-struct Episode {
-    seed: u64,
-    simulation: Simulation,
-    actions: Vec<f32>,
+    episode: Option<Played<Simulation>>,
 }
 
 impl CarRacing {
@@ -98,23 +90,22 @@ impl CarRacing {
 
     /// The running episode.
     pub fn simulation(&self) -> Option<&Simulation> {
-        self.episode.as_ref().map(|episode| &episode.simulation)
+        self.episode.as_ref().map(|episode| &episode.game)
     }
 
     fn start(&mut self, seed: u64) -> Result<(), EnvError> {
         let (track, _) = Self::track(seed)?;
         let limit = self.config.time_limit as usize;
         let rules = Rules { lap_share: self.config.lap_share(), time_limit: limit };
-        let mut actions = self.episode.take().map_or_else(Vec::new, |episode| episode.actions);
-        actions.clear();
-        actions.reserve(limit.min(1 << 20) * DIMS);
-        self.episode = Some(Episode { seed, simulation: Simulation::new(track, rules), actions });
+        let before = self.episode.take();
+        let game = Simulation::new(track, rules);
+        self.episode = Some(Played::begin(seed, game, limit.saturating_mul(DIMS), before));
         Ok(())
     }
 
     fn draw(&mut self) {
         if let Some(episode) = &self.episode {
-            self.renderer.draw(episode.simulation.track(), &episode.simulation.scene());
+            self.renderer.draw(episode.game.track(), &episode.game.scene());
             if let Ok(full) = self.renderer.pixels().try_into() {
                 preprocess::shrink(full, &mut self.frame);
             }
@@ -122,11 +113,10 @@ impl CarRacing {
     }
 }
 
-impl Episode {
-    fn step(&mut self, action: [f32; DIMS]) -> Step {
-        self.actions.extend(action);
+impl Game<DIMS> for Simulation {
+    fn play(&mut self, action: [f32; DIMS]) -> Step {
         let [steer, pedal] = action.map(f64::from);
-        self.simulation.step(&Controls { steer, gas: pedal.max(0.0), brake: (-pedal).max(0.0) })
+        self.step(&Controls { steer, gas: pedal.max(0.0), brake: (-pedal).max(0.0) })
     }
 }
 
@@ -151,11 +141,7 @@ impl Env for CarRacing {
     }
 
     fn step(&mut self, action: &[f32]) -> Result<Step, EnvError> {
-        let episode = self.episode.as_mut().ok_or(EnvError::NotStarted)?;
-        if episode.simulation.outcome().ended() {
-            return Err(EnvError::Over { length: episode.simulation.steps() });
-        }
-        let step = episode.step(checked(action)?);
+        let step = self.episode.as_mut().ok_or(EnvError::NotStarted)?.step(action)?;
         self.draw();
         Ok(step)
     }
@@ -165,10 +151,7 @@ impl Env for CarRacing {
     }
 
     fn snapshot(&self) -> EnvSnapshot {
-        self.episode.as_ref().map_or_else(EnvSnapshot::default, |episode| EnvSnapshot {
-            seed: Some(episode.seed),
-            actions: episode.actions.clone(),
-        })
+        Played::snapshot(self.episode.as_ref())
     }
 
     fn restore(&mut self, snapshot: &EnvSnapshot) -> Result<(), EnvError> {
@@ -178,15 +161,8 @@ impl Env for CarRacing {
             return Ok(());
         };
         self.start(seed)?;
-        let Some(episode) = self.episode.as_mut() else { return Ok(()) };
-        for (at, action) in snapshot.actions.chunks(DIMS).enumerate() {
-            if episode.simulation.outcome().ended() {
-                let length = snapshot.actions.len() / DIMS;
-                return Err(EnvError::Snapshot(format!("{length} actions, but the episode ends after {at}")));
-            }
-            let action =
-                checked(action).map_err(|error| EnvError::Snapshot(format!("step {at}: {error}")))?;
-            episode.step(action);
+        if let Some(episode) = self.episode.as_mut() {
+            snapshot.replay(DIMS, |action| episode.step(action))?;
         }
         self.draw();
         Ok(())
@@ -196,8 +172,8 @@ impl Env for CarRacing {
         let episode = self.episode.as_ref().ok_or(EnvError::NotStarted)?;
         Picture::check_size(width, height)?;
         let size = [width, height];
-        let mut renderer = Renderer::with_samples(self.config.version, Output::Rgb, size, PICTURE_SAMPLES);
-        renderer.draw(episode.simulation.track(), &episode.simulation.scene());
+        let mut renderer = Renderer::averaged(self.config.version, Output::Rgb, size);
+        renderer.draw(episode.game.track(), &episode.game.scene());
         Ok(Picture { width, height, rgb: renderer.pixels().to_vec() })
     }
 }

@@ -1,46 +1,61 @@
-//! Paints road, kerbs and car on a canvas, in the order of the original.
+//! Paints road, kerbs and car on a surface, in the order of the original.
 
 use super::camera::Camera;
 use super::palette::{self, Colour, Inks};
 use super::scene::Scene;
 use super::shape::{HULL, MOST_CORNERS, WHEEL_HALF};
-use super::track::Track;
+use super::track::{Kerb, Track};
 use super::tyre::SIZE;
 use super::world::Motion;
-use crate::raster::Canvas;
+use crate::surface::Surface;
 
 /// Farthest that tile and kerb reach from the tile's way point, world units.
 const TILE_REACH: f64 = 10.0;
 /// Length of the mark on a turning wheel, radians.
 const MARK: f64 = 1.2;
 
-/// A canvas with what it takes to paint on it.
-pub struct Painter<'a> {
+/// A surface with what it takes to paint on it.
+pub struct Painter<'a, S> {
     /// What is painted on.
-    pub canvas: &'a mut Canvas,
-    /// From the world to the canvas.
+    pub surface: &'a mut S,
+    /// From the world to the surface.
     pub camera: Camera,
     /// What is written for each colour.
     pub inks: &'a Inks,
-    /// First row of the bar, which hides the world.
+    /// First line of the bar, which hides the world.
     pub floor: usize,
 }
 
-impl Painter<'_> {
-    /// Tiles and kerbs, one after the other along the track.
+impl<S: Surface> Painter<'_, S> {
+    /// Tiles and kerbs along the track, of which later ones hide earlier ones.
     pub fn road(&mut self, track: &Track, scene: &Scene<'_>) {
+        self.surface.begin_mosaic();
         let mut kerbs = track.kerbs.iter().peekable();
-        for (i, (tile, at)) in track.tiles.iter().zip(&track.way_points).enumerate() {
-            let kerb = kerbs.next_if(|kerb| kerb.tile == i);
-            if !self.camera.may_see([at.x, at.y], TILE_REACH) {
+        let mut reversed_kerbs = track.kerbs.iter().rev().peekable();
+        let n = track.tiles.len().min(track.way_points.len());
+        for at in 0..n {
+            let i = if S::MOSAIC_FROM_FRONT { n - 1 - at } else { at };
+            let [kerb_before, kerb_after] = if S::MOSAIC_FROM_FRONT {
+                [reversed_kerbs.next_if(|kerb| kerb.tile == i), None]
+            } else {
+                [None, kerbs.next_if(|kerb| kerb.tile == i)]
+            };
+            let place = &track.way_points[i];
+            if !self.camera.may_see([place.x, place.y], TILE_REACH) {
                 continue;
             }
+            self.kerb(kerb_before);
             let shade = if scene.faded.get(i).copied().unwrap_or(false) { 0 } else { i % 3 };
-            self.fill(&tile.map(|p| self.camera.dot(p)), palette::ROAD[shade]);
-            if let Some(kerb) = kerb {
-                let colour = if kerb.white { palette::WHITE } else { palette::KERB_RED };
-                self.fill(&kerb.corners.map(|p| self.camera.dot(p)), colour);
-            }
+            self.fill(&track.tiles[i].map(|p| self.camera.dot(p)), palette::ROAD[shade]);
+            self.kerb(kerb_after);
+        }
+        self.surface.end_mosaic(self.floor);
+    }
+
+    fn kerb(&mut self, kerb: Option<&Kerb>) {
+        if let Some(kerb) = kerb {
+            let colour = if kerb.white { palette::WHITE } else { palette::KERB_RED };
+            self.fill(&kerb.corners.map(|p| self.camera.dot(p)), colour);
         }
     }
 
@@ -67,9 +82,9 @@ impl Painter<'_> {
         self.fill(&dots[..outline.len()], colour);
     }
 
-    /// Fills a polygon of the canvas.
+    /// Fills a polygon of the surface.
     pub(super) fn fill(&mut self, dots: &[[f64; 2]], colour: Colour) {
-        self.canvas.fill(dots, self.inks.of(colour), self.floor);
+        self.surface.fill(dots, self.inks.of(colour), self.floor);
     }
 }
 

@@ -2,6 +2,8 @@
 
 use crate::CarRacingVersion;
 
+/// Red, green and blue.
+pub type Rgb = [u8; 3];
 /// Index of a colour in the palette.
 pub type Colour = u8;
 
@@ -29,20 +31,12 @@ pub const PURPLE: Colour = 11;
 pub const GREEN: Colour = 12;
 /// Gauge of the yaw rate.
 pub const RED: Colour = 13;
-/// The first shade of text, from black to white.
-pub const FIRST_SHADE: Colour = 16;
-/// Shades of text.
-pub const SHADES: u8 = 16;
-/// Colours there are, with room between.
-pub const COUNT: usize = (FIRST_SHADE + SHADES) as usize;
+/// Colours there are.
+pub const COUNT: usize = 14;
 
 /// RGB of every colour: the originals' colours in 8 bits.
-pub fn rgb(version: CarRacingVersion) -> [[u8; 3]; COUNT] {
-    let mut rgb = [[0; 3]; COUNT];
-    rgb[..NAMED.len()].copy_from_slice(&NAMED);
-    for shade in 0..SHADES {
-        rgb[(FIRST_SHADE + shade) as usize] = [shade * (255 / (SHADES - 1)); 3];
-    }
+pub fn rgb(version: CarRacingVersion) -> [Rgb; COUNT] {
+    let mut rgb = NAMED;
     if version == CarRacingVersion::V3 {
         // It cuts off what OpenGL rounds.
         rgb[ROAD[1] as usize] = [104; 3];
@@ -51,8 +45,8 @@ pub fn rgb(version: CarRacingVersion) -> [[u8; 3]; COUNT] {
     rgb
 }
 
-/// Colours up to the shades, as version 0 draws them.
-const NAMED: [[u8; 3]; 14] = [
+/// The colours as version 0 draws them.
+const NAMED: [Rgb; COUNT] = [
     [0, 0, 0],
     [102, 204, 102],
     [102, 230, 102],
@@ -79,19 +73,9 @@ impl Inks {
         Self(std::array::from_fn(|colour| colour as u8))
     }
 
-    /// Their grey levels.
-    pub fn grey(rgb: &[[u8; 3]; COUNT]) -> Self {
-        Self(rgb.map(grey))
-    }
-
     /// What to write for a colour.
     pub fn of(&self, colour: Colour) -> u8 {
         self.0[colour as usize]
-    }
-
-    /// What to write for a shade of text, 0 (black) to [`SHADES`] - 1 (white).
-    pub fn shade(&self, shade: u8) -> u8 {
-        self.of(FIRST_SHADE + shade)
     }
 }
 

@@ -1,10 +1,9 @@
-//! The score in the corner of the bar: four digits, as strokes of a sans-serif face, sampled once per pixel like the
-//! rest of the picture.
+//! The score in the corner of the bar: four digits, as strokes of a sans-serif face.
+
+use std::ops::Range;
 
 use super::camera::WINDOW;
-use super::palette::{self, Inks};
 use crate::CarRacingVersion;
-use crate::raster::Canvas;
 
 /// How the text is set, window pixels, y up.
 #[derive(Clone, Copy, Debug)]
@@ -28,6 +27,10 @@ const SLOTS: usize = 4;
 /// The glyphs of the digits, then the minus sign.
 const GLYPHS: usize = 11;
 const MINUS: usize = 10;
+/// Shades of text from black to white, less one.
+const WHITE: u32 = 15;
+/// Samples per pixel and axis where pixels are averages.
+const SAMPLES: usize = 4;
 
 /// A stroke: points joined by lines, in a box of 0..10 across and 0..14 up.
 type Stroke = &'static [[f64; 2]];
@@ -110,20 +113,43 @@ const STROKES: [&[Stroke]; GLYPHS] = [
 /// The characters as they fall on the pixels of one picture size.
 #[derive(Clone, Debug)]
 pub struct Text {
-    rows: std::ops::Range<usize>,
+    /// Columns of the picture.
+    width: usize,
+    /// What becomes of a pixel under a glyph.
+    cover: fn(u8, u8) -> u8,
+    rows: Range<usize>,
     slots: [Slot; SLOTS],
 }
 
 #[derive(Clone, Debug, Default)]
 struct Slot {
-    columns: std::ops::Range<usize>,
-    /// Per glyph, row by row: 0 to [`palette::SHADES`] - 1.
-    shades: [Vec<u8>; GLYPHS],
+    columns: Range<usize>,
+    /// Per glyph, row by row: grey levels.
+    levels: [Vec<u8>; GLYPHS],
 }
 
 impl Text {
-    /// The characters for pictures of this size.
-    pub fn new(version: CarRacingVersion, width: usize, height: usize) -> Self {
+    /// The characters for pictures of `width` x `height`, sampled in the pixels' centres.
+    pub fn sampled(version: CarRacingVersion, [width, height]: [usize; 2]) -> Self {
+        // What is seen in a sample is the text or what it stands on.
+        Self::new(version, [width, height], 1, |_, text| text)
+    }
+
+    /// The characters for pictures whose pixels are means, of which every level has lost `loss`.
+    pub fn averaged(version: CarRacingVersion, [width, height]: [usize; 2], loss: u8) -> Self {
+        let mut text = Self::new(version, [width, height], SAMPLES, u8::max);
+        for levels in text.slots.iter_mut().flat_map(|slot| &mut slot.levels) {
+            levels.iter_mut().for_each(|level| *level = level.saturating_sub(loss));
+        }
+        text
+    }
+
+    fn new(
+        version: CarRacingVersion,
+        [width, height]: [usize; 2],
+        samples: usize,
+        cover: fn(u8, u8) -> u8,
+    ) -> Self {
         let face = if version == CarRacingVersion::V3 { FACE_V3 } else { FACE_V0 };
         let scale = [width as f64 / WINDOW[0], height as f64 / WINDOW[1]];
         let margin = face.half_stroke + 1.0;
@@ -133,32 +159,36 @@ impl Text {
             let left = face.origin[0] + n as f64 * face.advance;
             let columns =
                 (left * scale[0]) as usize..(((left + face.advance) * scale[0]) as usize + 1).min(width);
-            let shades = std::array::from_fn(|glyph| {
-                let at = |row: usize, column: usize| {
-                    let x = (column as f64 + 0.5) / scale[0] - left;
-                    let y = WINDOW[1] - (row as f64 + 0.5) / scale[1] - face.origin[1];
-                    face.shade(STROKES[glyph], [x, y])
-                };
-                rows.clone()
-                    .flat_map(|row| columns.clone().map(move |column| (row, column)))
-                    .map(|(r, c)| at(r, c))
-                    .collect()
+            let shade = |glyph: usize, row: f64, column: f64| {
+                let at = [column / scale[0] - left, WINDOW[1] - row / scale[1] - face.origin[1]];
+                face.shade(STROKES[glyph], at)
+            };
+            let level = |glyph: usize, row: usize, column: usize| {
+                let within = |sample: usize| (sample as f64 + 0.5) / samples as f64;
+                let all = (0..samples * samples).map(|sample| {
+                    let (down, right) = (within(sample / samples), within(sample % samples));
+                    shade(glyph, row as f64 + down, column as f64 + right)
+                });
+                (all.sum::<u32>() * 255 / WHITE / (samples * samples) as u32) as u8
+            };
+            let levels = std::array::from_fn(|glyph| {
+                let pixels = rows.clone().flat_map(|row| columns.clone().map(move |column| (row, column)));
+                pixels.map(|(row, column)| level(glyph, row, column)).collect()
             });
-            Slot { columns, shades }
+            Slot { columns, levels }
         };
-        Self { slots: std::array::from_fn(slot), rows }
+        Self { width, cover, slots: std::array::from_fn(slot), rows }
     }
 
-    /// Draws the score's whole part over what is there.
-    pub fn draw(&self, canvas: &mut Canvas, score: f64, inks: &Inks) {
+    /// Draws the score's whole part over a picture with `N` channels.
+    pub fn draw<const N: usize>(&self, pixels: &mut [u8], score: f64) {
+        let rows = self.rows.clone();
         for (slot, glyph) in self.slots.iter().zip(characters(score)) {
-            let mut shades = slot.shades[glyph].iter();
-            for row in self.rows.clone() {
-                let pixels = &mut canvas.row_mut(row)[slot.columns.clone()];
-                for (pixel, shade) in pixels.iter_mut().zip(&mut shades) {
-                    if *shade > 0 {
-                        *pixel = inks.shade(*shade);
-                    }
+            let mut levels = slot.levels[glyph].iter();
+            for line in pixels.chunks_exact_mut(self.width * N).take(rows.end).skip(rows.start) {
+                let pixels = &mut line.as_chunks_mut::<N>().0[slot.columns.clone()];
+                for (pixel, level) in pixels.iter_mut().zip(&mut levels).filter(|(_, level)| **level > 0) {
+                    *pixel = pixel.map(|below| (self.cover)(below, *level));
                 }
             }
         }
@@ -182,7 +212,7 @@ fn characters(score: f64) -> [usize; SLOTS] {
 
 impl Face {
     /// How much a point is covered by strokes: full inside, fading over a window pixel at the edge.
-    fn shade(&self, strokes: &[Stroke], point: [f64; 2]) -> u8 {
+    fn shade(&self, strokes: &[Stroke], point: [f64; 2]) -> u32 {
         let unit = [self.advance / 10.0, self.height / 14.0];
         let mut least = f64::INFINITY;
         for stroke in strokes {
@@ -192,7 +222,7 @@ impl Face {
             }
         }
         let cover = (self.half_stroke + 0.5 - least).clamp(0.0, 1.0);
-        (cover * f64::from(palette::SHADES - 1)).round() as u8
+        (cover * f64::from(WHITE)).round() as u32
     }
 }
 
@@ -219,10 +249,9 @@ mod tests {
     #[test]
     fn digits_look_different_in_the_observation() {
         let picture = |score: f64| {
-            let mut canvas = Canvas::new(96, 96);
-            let inks = Inks::grey(&palette::rgb(CarRacingVersion::V0));
-            Text::new(CarRacingVersion::V0, 96, 96).draw(&mut canvas, score, &inks);
-            canvas.pixels().to_vec()
+            let mut pixels = vec![0; 96 * 96];
+            Text::sampled(CarRacingVersion::V0, [96; 2]).draw::<1>(&mut pixels, score);
+            pixels
         };
         let pictures: Vec<_> = (0..10).map(|digit| picture(f64::from(digit))).collect();
         for (i, one) in pictures.iter().enumerate() {

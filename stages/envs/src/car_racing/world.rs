@@ -125,17 +125,11 @@ impl CarWorld {
     /// Moves the world on by one step under `forces` (world axes) on the wheels' centres, while the steering motors run
     /// at `speeds` (radians per second).
     pub fn step(&mut self, speeds: [f64; 4], forces: [[f64; 2]; 4]) {
-        for i in 0..4 {
-            let speed = speeds[i] as f32;
-            let stop = positions::stop(self.poses[i + 1].angle - self.poses[0].angle);
-            // At its stop a joint turns back only.
-            let target = if stop * speed > 0.0 { 0.0 } else { speed };
-            if let Some(joint) = self.physics.impulse_joints.get_mut(self.joints[i], false) {
-                joint.data.motors[JointAxis::AngX as usize].target_vel = target;
-            }
-            let wheel = &mut self.physics.bodies[self.bodies[i + 1]];
+        self.steer(speeds);
+        for (wheel, [x, y]) in self.bodies[1..].iter().zip(forces) {
+            let wheel = &mut self.physics.bodies[*wheel];
             wheel.reset_forces(true);
-            wheel.add_force(Vector::new(forces[i][0] as f32, forces[i][1] as f32), true);
+            wheel.add_force(Vector::new(x as f32, y as f32), true);
         }
         self.physics.step();
         for (velocity, handle) in self.velocities.iter_mut().zip(self.bodies) {
@@ -144,6 +138,20 @@ impl CarWorld {
         }
         self.positions.advance(&mut self.poses, &mut self.velocities);
         self.hand_over();
+    }
+
+    /// Sets the steering motors' speeds, radians per second. Not by `get_mut`: for each joint got so the engine would
+    /// look through its islands in the next step, and allocate a list of them.
+    fn steer(&mut self, speeds: [f64; 4]) {
+        let (joints, poses) = (&self.joints, &self.poses);
+        self.physics.impulse_joints.map_attached_joints_mut(self.bodies[0], |_, _, handle, joint| {
+            let Some(i) = joints.iter().position(|joint| *joint == handle) else { return };
+            let speed = speeds[i] as f32;
+            let stop = positions::stop(poses[i + 1].angle - poses[0].angle);
+            // At its stop a joint turns back only.
+            let target = if stop * speed > 0.0 { 0.0 } else { speed };
+            joint.data.motors[JointAxis::AngX as usize].target_vel = target;
+        });
     }
 
     /// Tells the engine where the bodies are. It gets the wheels exactly on their joints, since it would turn what the

@@ -16,8 +16,9 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::area::Area;
 use crate::car_racing::CarRacing;
+use crate::played::Played;
 use crate::preprocess::{self, FULL, SIDE};
-use crate::{ActionSpace, Env, EnvError, EnvSnapshot, Frame, ObservationSpace, Outcome, Picture, Step};
+use crate::{ActionSpace, Env, EnvError, EnvSnapshot, Frame, ObservationSpace, Picture, Step};
 use protocol::{Operation, Shown};
 use worker::{Launch, Worker};
 
@@ -106,14 +107,11 @@ struct GymnasiumEnv {
     index: usize,
     spaces: (ObservationSpace, ActionSpace),
     view: View,
-    episode: Option<Episode>,
+    episode: Option<Played<Elsewhere>>,
 }
 
-struct Episode {
-    seed: u64,
-    actions: Vec<f32>,
-    steps: usize,
-    outcome: Outcome,
+/// The game that the worker plays, as far as it is known here.
+struct Elsewhere {
     /// True from [`Env::begin`] to [`Env::step`].
     begun: bool,
 }
@@ -202,11 +200,9 @@ impl GymnasiumEnv {
         }
     }
 
-    fn running(&mut self) -> Result<&mut Episode, EnvError> {
+    fn running(&mut self) -> Result<&mut Played<Elsewhere>, EnvError> {
         let episode = self.episode.as_mut().ok_or(EnvError::NotStarted)?;
-        if episode.outcome.ended() {
-            return Err(EnvError::Over { length: episode.steps });
-        }
+        episode.check_running()?;
         Ok(episode)
     }
 
@@ -237,7 +233,7 @@ impl Env for GymnasiumEnv {
     }
 
     fn reset(&mut self, seed: u64) -> Result<(), EnvError> {
-        if self.episode.take().is_some_and(|episode| episode.begun) {
+        if self.episode.take().is_some_and(|episode| episode.game.begun) {
             // The reply of a step that nobody asked for any more stands before that of the reset.
             locked(&self.worker).fetch(self.index)?;
         }
@@ -248,20 +244,17 @@ impl Env for GymnasiumEnv {
             }
         };
         self.call(Operation::Reset, seed, &draws)?;
-        let episode =
-            Episode { seed, actions: Vec::new(), steps: 0, outcome: Outcome::Running, begun: false };
-        self.episode = Some(episode);
+        self.episode = Some(Played::begin(seed, Elsewhere { begun: false }, 0, None));
         Ok(())
     }
 
     fn begin(&mut self, action: &[f32]) -> Result<(), EnvError> {
         let action = self.checked(action)?;
         let episode = self.running()?;
-        if episode.begun {
+        if std::mem::replace(&mut episode.game.begun, true) {
             return Ok(());
         }
-        episode.begun = true;
-        episode.actions.extend(&action);
+        episode.note_action(&action);
         Ok(locked(&self.worker).ask(Operation::Step, self.index, 0, &le_bytes(&action))?)
     }
 
@@ -274,9 +267,8 @@ impl Env for GymnasiumEnv {
             step
         };
         let episode = self.running()?;
-        episode.begun = false;
-        episode.steps += 1;
-        episode.outcome = step.outcome;
+        episode.game.begun = false;
+        episode.note_step(step);
         Ok(step)
     }
 
@@ -288,10 +280,7 @@ impl Env for GymnasiumEnv {
     }
 
     fn snapshot(&self) -> EnvSnapshot {
-        self.episode.as_ref().map_or_else(EnvSnapshot::default, |episode| EnvSnapshot {
-            seed: Some(episode.seed),
-            actions: episode.actions.clone(),
-        })
+        Played::snapshot(self.episode.as_ref())
     }
 
     fn restore(&mut self, snapshot: &EnvSnapshot) -> Result<(), EnvError> {
@@ -300,14 +289,7 @@ impl Env for GymnasiumEnv {
             return Ok(());
         };
         self.reset(seed)?;
-        for (at, action) in snapshot.actions.chunks(self.spaces.1.action_len()).enumerate() {
-            match self.step(action) {
-                Ok(_) => {}
-                Err(EnvError::Gymnasium(error)) => return Err(error.into()),
-                Err(error) => return Err(EnvError::Snapshot(format!("step {at}: {error}"))),
-            }
-        }
-        Ok(())
+        snapshot.replay(self.spaces.1.action_len(), |action| self.step(action))
     }
 
     fn render(&mut self, width: usize, height: usize) -> Result<Picture, EnvError> {

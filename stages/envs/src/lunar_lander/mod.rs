@@ -16,6 +16,7 @@ pub mod world;
 use dril_stage_api::{Seed, StreamRng};
 use rand::Rng;
 
+use crate::played::{Game, Played};
 use crate::{
     ActionSpace, Env, EnvError, EnvSnapshot, Frame, LunarLanderConfig, ObservationSpace, Picture, Step,
 };
@@ -34,14 +35,12 @@ const MOST_FORCE: f64 = 1000.0;
 pub struct LunarLander {
     config: LunarLanderConfig,
     frame: [f32; OBSERVED],
-    episode: Option<Episode>,
+    episode: Option<Played<Flight>>,
 }
 
-struct Episode {
-    seed: u64,
+struct Flight {
     simulation: Simulation,
     dispersion: StreamRng,
-    actions: Vec<f32>,
 }
 
 impl LunarLander {
@@ -66,32 +65,27 @@ impl LunarLander {
 
     /// The running episode.
     pub fn simulation(&self) -> Option<&Simulation> {
-        self.episode.as_ref().map(|episode| &episode.simulation)
+        self.episode.as_ref().map(|episode| &episode.game.simulation)
     }
 
     fn start(&mut self, seed: u64) {
         let limit = self.config.time_limit as usize;
-        let mut actions = self.episode.take().map_or_else(Vec::new, |episode| episode.actions);
-        actions.clear();
-        actions.reserve(limit.min(1 << 20) * DIMS);
-        self.episode = Some(Episode {
-            seed,
+        let game = Flight {
             simulation: Simulation::new(&Self::draws(seed), limit),
             dispersion: Seed(seed).stream("lander/dispersion"),
-            actions,
-        });
+        };
+        self.episode = Some(Played::begin(seed, game, limit.saturating_mul(DIMS), self.episode.take()));
     }
 
     fn observe(&mut self) {
         if let Some(episode) = &self.episode {
-            self.frame = episode.simulation.observation().map(|value| value as f32);
+            self.frame = episode.game.simulation.observation().map(|value| value as f32);
         }
     }
 }
 
-impl Episode {
-    fn step(&mut self, action: [f32; DIMS]) -> Step {
-        self.actions.extend(action);
+impl Game<DIMS> for Flight {
+    fn play(&mut self, action: [f32; DIMS]) -> Step {
         let dispersion = std::array::from_fn(|_| 2.0 * unit_interval(&mut self.dispersion) - 1.0);
         self.simulation.step(action.map(f64::from), dispersion)
     }
@@ -118,11 +112,7 @@ impl Env for LunarLander {
     }
 
     fn step(&mut self, action: &[f32]) -> Result<Step, EnvError> {
-        let episode = self.episode.as_mut().ok_or(EnvError::NotStarted)?;
-        if episode.simulation.outcome().ended() {
-            return Err(EnvError::Over { length: episode.simulation.steps() });
-        }
-        let step = episode.step(crate::env::checked(action)?);
+        let step = self.episode.as_mut().ok_or(EnvError::NotStarted)?.step(action)?;
         self.observe();
         Ok(step)
     }
@@ -132,10 +122,7 @@ impl Env for LunarLander {
     }
 
     fn snapshot(&self) -> EnvSnapshot {
-        self.episode.as_ref().map_or_else(EnvSnapshot::default, |episode| EnvSnapshot {
-            seed: Some(episode.seed),
-            actions: episode.actions.clone(),
-        })
+        Played::snapshot(self.episode.as_ref())
     }
 
     fn restore(&mut self, snapshot: &EnvSnapshot) -> Result<(), EnvError> {
@@ -145,15 +132,8 @@ impl Env for LunarLander {
             return Ok(());
         };
         self.start(seed);
-        let Some(episode) = self.episode.as_mut() else { return Ok(()) };
-        for (at, action) in snapshot.actions.chunks(DIMS).enumerate() {
-            if episode.simulation.outcome().ended() {
-                let length = snapshot.actions.len() / DIMS;
-                return Err(EnvError::Snapshot(format!("{length} actions, but the episode ends after {at}")));
-            }
-            let action = crate::env::checked(action)
-                .map_err(|error| EnvError::Snapshot(format!("step {at}: {error}")))?;
-            episode.step(action);
+        if let Some(episode) = self.episode.as_mut() {
+            snapshot.replay(DIMS, |action| episode.step(action))?;
         }
         self.observe();
         Ok(())
@@ -161,7 +141,7 @@ impl Env for LunarLander {
 
     fn render(&mut self, width: usize, height: usize) -> Result<Picture, EnvError> {
         let episode = self.episode.as_ref().ok_or(EnvError::NotStarted)?;
-        picture::draw(&episode.simulation, width, height)
+        picture::draw(&episode.game.simulation, width, height)
     }
 }
 

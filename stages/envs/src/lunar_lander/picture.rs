@@ -4,17 +4,17 @@ use super::engines::Push;
 use super::shape::{HEIGHT, LANDER, LEG, SCALE, WIDTH};
 use super::simulation::Simulation;
 use super::world::Motion;
-use crate::raster::{Canvas, Dot, average};
+use crate::coverage::{AreaCanvas, LINES};
+use crate::raster::Dot;
+use crate::surface::Surface;
 use crate::{EnvError, Picture};
 
-/// Samples per pixel and axis.
-const SAMPLES: usize = 3;
 /// Stars in the sky.
 const STARS: u32 = 60;
 /// Height of a flag's pole, world units.
 const POLE: f64 = 50.0 / SCALE;
 
-/// A colour, as the place where [`COLOURS`] has it. 0, an empty canvas, is the sky.
+/// A colour, as the place where [`COLOURS`] has it. 0 is the sky.
 type Ink = u8;
 const STAR: Ink = 1;
 const GROUND: Ink = 2;
@@ -48,36 +48,38 @@ const COLOURS: [[u8; 3]; 12] = [
 /// A size that cannot be drawn.
 pub fn draw(simulation: &Simulation, width: usize, height: usize) -> Result<Picture, EnvError> {
     Picture::check_size(width, height)?;
-    let size = [width * SAMPLES, height * SAMPLES];
-    let mut painter = Painter::new(size);
+    let mut painter = Painter::new(width, height);
     painter.stars();
     painter.ground(simulation);
     painter.flames(simulation);
     painter.lander(simulation.motions());
     let mut picture = Picture::new(width, height);
-    average(&painter.canvas, SAMPLES, 0, |ink| COLOURS[usize::from(ink)], &mut picture.rgb);
+    painter.canvas.interleave(&mut picture.rgb);
     Ok(picture)
 }
 
 /// A canvas that shows the whole world, in the middle where the shape differs.
 struct Painter {
-    canvas: Canvas,
-    /// Samples per world unit.
+    canvas: AreaCanvas,
+    /// Pixels per world unit.
     zoom: f64,
     /// Where the world's lower left corner is.
     origin: Dot,
 }
 
 impl Painter {
-    fn new([width, height]: [usize; 2]) -> Self {
+    fn new(width: usize, height: usize) -> Self {
         let (w, h) = (width as f64, height as f64);
         let zoom = (w / WIDTH).min(h / HEIGHT);
         let origin = [(w - zoom * WIDTH) / 2.0, (h + zoom * HEIGHT) / 2.0];
-        Self { canvas: Canvas::new(width, height), zoom, origin }
+        let mut canvas = AreaCanvas::new(width, height, 0.0, &COLOURS);
+        canvas.clear(0, height * LINES);
+        Self { canvas, zoom, origin }
     }
 
+    /// The canvas's point for a point of the world.
     fn dot(&self, [x, y]: [f64; 2]) -> Dot {
-        [self.origin[0] + self.zoom * x, self.origin[1] - self.zoom * y]
+        [self.origin[0] + self.zoom * x, (self.origin[1] - self.zoom * y) * LINES as f64]
     }
 
     /// Fills a convex polygon, given in world units.
@@ -86,36 +88,39 @@ impl Painter {
         for (dot, corner) in dots.iter_mut().zip(corners) {
             *dot = self.dot(*corner);
         }
-        let floor = self.canvas.height();
+        let [_, floor] = self.canvas.size();
         self.canvas.fill(&dots[..corners.len()], ink, floor);
     }
 
     /// The same specks in every picture.
     fn stars(&mut self) {
-        let (w, h) = (self.canvas.width() as f64, self.canvas.height() as f64);
+        let [w, h] = self.canvas.size().map(|size| size as f64);
         for i in 0..STARS {
             // Multiples of the golden ratio and of another number badly approximated by fractions are spread evenly.
             let place = [0.618_034, 0.754_878].map(|step| (f64::from(i) * step).fract());
             let [x, y] = [place[0] * w, place[1] * h];
             let side = self.zoom * if i % 5 == 0 { 0.05 } else { 0.03 };
-            self.canvas.fill_box([x, y], [x + side, y + side], STAR);
+            self.canvas.fill_box([x, y], [x + side, y + side * LINES as f64], STAR);
         }
     }
 
     fn ground(&mut self, simulation: &Simulation) {
         let terrain = simulation.terrain();
         let flags = terrain.flags();
+        self.canvas.begin_mosaic();
         for [[x0, y0], [x1, y1]] in terrain.edges() {
             // To both sides the ground goes on as far as there is a picture.
             let left = if x0 <= 0.0 { -WIDTH } else { x0 };
             let right = if x1 >= WIDTH - 1e-9 { 2.0 * WIDTH } else { x1 };
             for [from, to] in [[[left, y0], [x0, y0]], [[x0, y0], [x1, y1]], [[x1, y1], [right, y1]]] {
-                self.fill(&[from, to, [to[0], -HEIGHT], [from[0], -HEIGHT]], GROUND);
                 let pad = from[0] >= flags[0] - 1e-9 && to[0] <= flags[1] + 1e-9;
                 let (ink, thick) = if pad { (PAD, 0.10) } else { (EDGE, 0.05) };
                 self.fill(&[from, to, [to[0], to[1] - thick], [from[0], from[1] - thick]], ink);
+                self.fill(&[from, to, [to[0], -HEIGHT], [from[0], -HEIGHT]], GROUND);
             }
         }
+        let [_, floor] = self.canvas.size();
+        self.canvas.end_mosaic(floor);
         for x in flags {
             let foot = terrain.points.iter().find(|point| point[0] >= x - 1e-9).map_or(0.0, |point| point[1]);
             let top = foot + POLE;

@@ -109,7 +109,7 @@ fn the_noise_of_the_engines_is_drawn_whether_they_run_or_not() {
         let mut env = env(100);
         env.reset(2).unwrap();
         env.step(&first).unwrap();
-        env.episode.as_mut().unwrap().dispersion.next_u64()
+        env.episode.as_mut().unwrap().game.dispersion.next_u64()
     };
     assert_eq!(after([0.0, 0.0]), after([1.0, 1.0]));
 }
