@@ -84,8 +84,10 @@ fn a_step_of_car_racing_with_picture_and_stack_allocates_only_inside_the_physics
             simulation.car_mut().step([true; 4]);
         });
         assert_eq!(whole, engine, "{version}: rules, picture or stack allocate");
-        // Five in a release build; the engine's own debug assertions make one more.
-        let most = if cfg!(debug_assertions) { 6 } else { 5 };
+        // Four in a release build, among them the list of moved bodies (twice, as it grows), which rapier2d 0.36.1 takes and
+        // begins anew (pipeline/physics_pipeline/substep.rs), and the cursors of its workers, made in every step
+        // (dynamics/solver/staged_island_solver/sync.rs). Its debug assertions make one more.
+        let most = if cfg!(debug_assertions) { 5 } else { 4 };
         assert!(engine <= 200 * most, "{version}: {engine} allocations in 200 steps");
     }
 }
