@@ -12,7 +12,7 @@ use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
 use fault::step;
-pub use folder::{Inside, Links, Outside, Stat, outside, put, walk};
+pub use folder::{Inside, Links, Outside, Stat, holds_at_most, outside, put, walk};
 pub use lock::Lock;
 
 /// What was tried on which path, and the system's answer.

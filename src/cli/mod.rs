@@ -64,6 +64,11 @@ pub fn run_with(registry: Registry, extras: &[Extra], args: impl IntoIterator<It
     if let Some(job) = stage_job(&args) {
         return exec::run_stage(Path::new(job), &registry);
     }
+    if let [_, name] = &*args
+        && name == exec::WARDEN
+    {
+        return exec::watch_over();
+    }
     match args::read(args, extras, Terminal::stdout().colour) {
         Request::Own(command) => own(&command, &registry),
         Request::Extra(index, args) => extra(&extras[index], &args),

@@ -3,7 +3,7 @@
 use serde_json::Value;
 
 use crate::params;
-use crate::{Ctx, Describe, Needs, ParamProblem, Ports, Problems, Stage, StageError};
+use crate::{Ctx, Describe, Job, Needs, ParamProblem, Ports, Prepared, Problems, Program, Stage, StageError};
 
 /// A stage kind as the engine sees it: names, and functions over parameters as JSON values.
 #[derive(Clone, Copy)]
@@ -26,6 +26,11 @@ pub struct Kind {
 enum Run {
     Here(fn(&Value, &mut Ctx<'_>) -> Result<(), StageError>),
     In(&'static str),
+    /// By another program; the first function does all of it from this process.
+    Outside(
+        fn(&Value, &mut Ctx<'_>) -> Result<(), StageError>,
+        fn(&Value, &Job) -> Result<Prepared, StageError>,
+    ),
 }
 
 impl std::fmt::Debug for Kind {
@@ -48,6 +53,11 @@ impl Kind {
         Self::new::<D>(Run::In(worker))
     }
 
+    /// The erased form of `P`, whose work is another program's.
+    pub const fn of_program<P: Program>() -> Self {
+        Self::new::<P::Kind>(Run::Outside(run::<P>, prepare::<P>))
+    }
+
     const fn new<D: Describe>(run: Run) -> Self {
         Self {
             name: D::KIND,
@@ -67,7 +77,7 @@ impl Kind {
     /// The executable, beside this one, that runs the kind; `None` where this one does.
     pub fn worker(&self) -> Option<&'static str> {
         match self.run {
-            Run::Here(_) => None,
+            Run::Here(_) | Run::Outside(..) => None,
             Run::In(worker) => Some(worker),
         }
     }
@@ -134,16 +144,32 @@ impl Kind {
         (self.needs)(params)
     }
 
+    /// The program that does the work of a job, ready to start; `None` where the kind does its work itself.
+    ///
+    /// # Errors
+    /// See [`Program::prepare`].
+    pub fn prepare(&self, job: &Job) -> Option<Result<Prepared, StageError>> {
+        match self.run {
+            Run::Outside(_, prepare) => Some(prepare(&job.params, job)),
+            Run::Here(_) | Run::In(_) => None,
+        }
+    }
+
     /// Runs a stage with these parameters.
     ///
     /// # Errors
     /// The stage's own; parameters that do not fit are [`StageError::Params`]; a kind of another executable fails.
     pub fn run(&self, params: &Value, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
         match self.run {
-            Run::Here(run) => run(params, ctx),
+            Run::Here(run) | Run::Outside(run, _) => run(params, ctx),
             Run::In(worker) => Err(StageError::failed(format!("kind `{}` is run by `{worker}`", self.name))),
         }
     }
+}
+
+fn prepare<P: Program>(value: &Value, job: &Job) -> Result<Prepared, StageError> {
+    let params = read::<P::Kind>(value).map_err(StageError::params)?;
+    P::prepare(&params, job)
 }
 
 fn schema_of<D: Describe>() -> schemars::Schema {
