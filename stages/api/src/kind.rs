@@ -16,9 +16,23 @@ pub struct Kind {
     seeded_by: fn(&Value) -> Result<bool, Vec<ParamProblem>>,
     schema: fn() -> schemars::Schema,
     normalize: fn(&Value) -> Result<Value, Vec<ParamProblem>>,
+    look: fn(&Value) -> Result<Look, Vec<ParamProblem>>,
     ports: fn(&Value) -> Result<Ports, Vec<ParamProblem>>,
     needs: fn(&Value) -> Result<Needs, Vec<ParamProblem>>,
     run: Run,
+}
+
+/// All that a kind says of a stage with certain parameters.
+#[derive(Clone, Debug)]
+pub struct Look {
+    /// See [`Kind::normalize`].
+    pub params: Value,
+    /// See [`Kind::ports`].
+    pub ports: Ports,
+    /// See [`Kind::needs`].
+    pub needs: Needs,
+    /// See [`Kind::seeded_by`].
+    pub seeded: bool,
 }
 
 /// Where a kind's work is done.
@@ -68,6 +82,7 @@ impl Kind {
             seeded_by: seeded_by::<D>,
             schema: schema_of::<D>,
             normalize: normalize::<D>,
+            look: look::<D>,
             ports: ports::<D>,
             needs: needs::<D>,
             run,
@@ -128,6 +143,15 @@ impl Kind {
         (self.normalize)(params)
     }
 
+    /// As [`Kind::normalize`], and all else that the kind says of such a stage, for the price of reading the parameters
+    /// once.
+    ///
+    /// # Errors
+    /// As [`Kind::normalize`].
+    pub fn look(&self, params: &Value) -> Result<Look, Vec<ParamProblem>> {
+        (self.look)(params)
+    }
+
     /// The inputs and outputs under these parameters.
     ///
     /// # Errors
@@ -181,14 +205,26 @@ fn read<D: Describe>(value: &Value) -> Result<D::Params, Vec<ParamProblem>> {
 }
 
 fn normalize<D: Describe>(value: &Value) -> Result<Value, Vec<ParamProblem>> {
+    checked::<D>(&read::<D>(value)?)
+}
+
+fn look<D: Describe>(value: &Value) -> Result<Look, Vec<ParamProblem>> {
     let params = read::<D>(value)?;
+    // What a kind says of its ports may rely on what it has checked.
+    let full = checked::<D>(&params)?;
+    let (ports, needs, seeded) = (D::ports(&params), D::needs(&params), D::seeded(&params));
+    Ok(Look { params: full, ports, needs, seeded })
+}
+
+/// The parameters in full, written back.
+fn checked<D: Describe>(params: &D::Params) -> Result<Value, Vec<ParamProblem>> {
     let mut problems = Problems::default();
-    D::check(&params, &mut problems);
+    D::check(params, &mut problems);
     let found = problems.into_vec();
     if !found.is_empty() {
         return Err(found);
     }
-    serde_json::to_value(&params).map_err(|error| {
+    serde_json::to_value(params).map_err(|error| {
         vec![ParamProblem {
             path: Vec::new(),
             message: format!("cannot be written back: {error}"),

@@ -30,7 +30,7 @@ pub use artifact::Artifact;
 pub use ctx::{Ctx, InputItem};
 pub use error::StageError;
 pub use job::{Job, JobInput, JobOutput, Labels};
-pub use kind::Kind;
+pub use kind::{Kind, Look};
 pub use needs::Needs;
 pub use params::{ParamProblem, Problems};
 pub use ports::{Arity, Input, Output, Outside, Ports, port_name};
