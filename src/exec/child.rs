@@ -226,6 +226,8 @@ impl<'a> Watched<'a> {
             self.stop_if_over();
             if self.wait_for_news(open)? {
                 open = self.listener.read(self.child.stdout.as_mut(), hear)?;
+            } else if let Some(guarded) = &self.guarded {
+                guarded.renew()?;
             }
         }
         // The child is dead but not yet reaped, so its number still names its group, and nobody else's.

@@ -77,10 +77,11 @@ impl State {
 
     fn tell(&mut self, program: &PathBuf, line: &str) -> io::Result<()> {
         self.be_there(program)?;
-        if self.write(line).is_ok() {
-            return Ok(());
-        }
-        // Somebody has killed it: the next one is told of all that there is.
+        if self.write(line).is_ok() { Ok(()) } else { self.begin_anew(program) }
+    }
+
+    /// Somebody has killed it: the next one is told of all that there is.
+    fn begin_anew(&mut self, program: &PathBuf) -> io::Result<()> {
         if let Some(mut dead) = self.process.take() {
             let _ = dead.kill();
             let _ = dead.wait();
@@ -94,6 +95,17 @@ impl State {
         match self.process.as_mut().and_then(|process| process.stdin.as_mut()) {
             Some(pipe) => pipe.write_all(text.as_bytes()),
             None => Err(io::ErrorKind::BrokenPipe.into()),
+        }
+    }
+}
+
+impl Guarded<'_> {
+    /// Sees to it that there is a warden still; to be called now and then.
+    pub fn renew(&self) -> io::Result<()> {
+        let mut state = self.warden.state.lock().unwrap_or_else(PoisonError::into_inner);
+        match state.process.as_mut().map(Child::try_wait) {
+            Some(Ok(None)) => Ok(()),
+            _ => state.begin_anew(&self.warden.program),
         }
     }
 }

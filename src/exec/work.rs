@@ -200,7 +200,6 @@ impl<'a> Task<'a> {
             self.pass_on();
             return Ok((Vec::new(), Duration::ZERO));
         }
-        fsx::create_dir(&outputs_folder(&self.folder))?;
         for (digest, path) in &self.folders {
             site.store.lay_out(digest, path)?;
         }
@@ -316,7 +315,6 @@ fn run_again(
         bring_in(file, site.store, run)?;
     }
     fsx::create_dir(folder)?;
-    fsx::create_dir(&outputs_folder(folder))?;
     let (mut job, folders) = job(node, key, folder, done, shape, site);
     for (digest, path) in &folders {
         site.store.lay_out(digest, path)?;
@@ -462,12 +460,8 @@ fn record(node: &StageInstance, done: &[Option<Arc<Outputs>>], shape: Shape<'_>)
 
 /// Where a stage writes an output.
 fn output_path(folder: &Path, name: &str, extension: &str) -> PathBuf {
-    let folder = outputs_folder(folder);
-    if extension.is_empty() { folder.join(name) } else { folder.join(format!("{name}.{extension}")) }
-}
-
-fn outputs_folder(folder: &Path) -> PathBuf {
-    folder.join("outputs")
+    let ending = if extension.is_empty() { "" } else { "." };
+    folder.join(format!("output-{name}{ending}{extension}"))
 }
 
 fn check_output(output: &Output, path: &Path) -> Result<(), Failure> {
