@@ -166,7 +166,9 @@ impl<'g> Story<'g> {
             text += &format!("\nresults: {folder} ({})", count(published.files, "file"));
             if !published.earlier.is_empty() {
                 let names = published.earlier.join(", ");
-                text += &format!("\n  of an earlier run, as their stages did not finish: {names}");
+                text += &format!(
+                    "\n  of an earlier run, as their stages were not asked for or did not finish: {names}"
+                );
             }
             if !published.removed.is_empty() {
                 text +=
