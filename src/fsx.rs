@@ -246,6 +246,11 @@ pub fn symlink(to: &Path, at: &Path) -> Result<()> {
     std::os::unix::fs::symlink(to, at).map_err(FsError::at("make a link at", at))
 }
 
+/// Where a symbolic link leads; `None` where there is none or it cannot be read.
+pub fn link_target(path: &Path) -> Option<PathBuf> {
+    std::fs::read_link(path).ok()
+}
+
 /// Size, and time of the last change in nanoseconds, of a regular file, links followed; `None` for anything else.
 pub fn stamp(path: &Path) -> Option<(u64, i128)> {
     let meta = std::fs::metadata(path).ok().filter(std::fs::Metadata::is_file)?;

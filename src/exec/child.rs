@@ -108,13 +108,20 @@ impl ChildRunner {
         process
             .stdin(launch.lock.map_or_else(|| Ok(Stdio::null()), |lock| lock.as_input().map(Stdio::from))?);
         process.stdout(Stdio::piped()).stderr(log.try_clone()?).process_group(0);
-        self.warden.be_there()?;
-        let child = match process.spawn() {
-            Ok(child) => child,
+        // As the system names it.
+        let input = launch.lock.and_then(|lock| lock.path().canonicalize().ok());
+        input.iter().try_for_each(|input| self.warden.expect(input))?;
+        let spawned = process.spawn();
+        let watched = spawned.map(|child| {
+            let mut watched = Watched::new(child, Listener::new(log), launch)?;
+            watched.guarded = Some(self.warden.guard(watched.group)?);
+            Ok::<_, io::Error>(watched)
+        });
+        input.iter().for_each(|input| self.warden.settle(input));
+        let mut watched = match watched {
+            Ok(watched) => watched?,
             Err(error) => return Ok(Exit::Failed(prepared.not_started(&error).to_string())),
         };
-        let mut watched = Watched::new(child, Listener::new(log), launch)?;
-        watched.guarded = Some(self.warden.guard(watched.group)?);
         let status = watched.watch(hear)?;
         // Whatever its end: what it did to its inputs has to be known.
         let finished = (prepared.finish)(status);

@@ -24,7 +24,7 @@ pub(super) fn resident(group: Pid) -> Option<u64> {
 }
 
 /// The process group in `/proc/<process>/stat`: the third field after the name, which ends at the last `)`.
-fn group_of(process: &Path) -> Option<i32> {
+pub(super) fn group_of(process: &Path) -> Option<i32> {
     let stat = fsx::read(&process.join("stat")).ok()?;
     let stat = String::from_utf8_lossy(&stat);
     stat.rsplit_once(')')?.1.split_whitespace().nth(2)?.parse().ok()

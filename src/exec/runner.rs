@@ -17,8 +17,8 @@ pub struct Launch<'a> {
     pub job: &'a Job,
     /// The kind that does it.
     pub kind: Kind,
-    /// The right to make the result, which a process may hold on to longer than this one lives; none where nothing of it
-    /// is kept.
+    /// The right to do the work, which a process may hold on to longer than this one lives; none for work that nobody else
+    /// could do at the same time.
     pub lock: Option<&'a Lock>,
     /// The file for all that the stage prints.
     pub log: &'a Path,

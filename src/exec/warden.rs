@@ -3,21 +3,28 @@
 //! A stage of our own watches its standard input, whose other end the engine holds; a foreign program does not, and a
 //! death signal of the kernel would take only the program and leave what it started. So an engine has one more process,
 //! `dril-pipe __warden`, which is told of every group that begins and ends, and kills those that are left once the engine
-//! is gone. A group that began in the very moment in which the engine was killed may be missed: it then works on in the
-//! folder of a run that is over, where nothing comes of it, and holds the lock of its key as long as it lives
-//! (`Lock::as_input`), so nobody works beside it.
+//! is gone. It is told before a program is started, too, by the lock that the program gets as its standard input
+//! (`Lock::as_input`): where the engine was killed before it could tell the group, the process with that input is looked
+//! for. The same lock keeps everybody else from the work while any of these processes lives.
 
 use std::collections::BTreeSet;
 use std::io::{self, BufRead, Write};
 use std::os::unix::process::CommandExt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitCode, Stdio};
 use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process_group};
 
+use super::memory::group_of;
+use crate::fsx;
+
 /// The argument that makes this program a warden.
 pub const WARDEN: &str = "__warden";
+
+/// How long a program that was being started when the engine died is looked for.
+const SEARCH: Duration = Duration::from_secs(3);
 
 /// The engine's side.
 #[derive(Debug)]
@@ -30,6 +37,7 @@ pub(super) struct Warden {
 struct State {
     process: Option<Child>,
     groups: BTreeSet<i32>,
+    expected: BTreeSet<PathBuf>,
 }
 
 /// A group that dies with the engine, until this is dropped. To be dropped while the group's number cannot be another's
@@ -45,10 +53,18 @@ impl Warden {
         Self { program, state: Mutex::default() }
     }
 
-    /// Starts the process where it is not there yet, so that no time passes between the start of a group and
-    /// [`Warden::guard`].
-    pub fn be_there(&self) -> io::Result<()> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner).be_there(&self.program)
+    /// A program is about to be started, with this file as its standard input.
+    pub fn expect(&self, input: &Path) -> io::Result<()> {
+        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        state.expected.insert(input.to_owned());
+        state.tell(&self.program, &expects(input))
+    }
+
+    /// What was expected has its group, or never began.
+    pub fn settle(&self, input: &Path) {
+        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        state.expected.remove(input);
+        let _ = state.write(&format!("!{}\n", named(input)));
     }
 
     /// From now on the group dies with this process.
@@ -87,7 +103,8 @@ impl State {
             let _ = dead.wait();
         }
         self.be_there(program)?;
-        let all: String = self.groups.iter().map(|group| format!("+{group}\n")).collect();
+        let groups = self.groups.iter().map(|group| format!("+{group}\n"));
+        let all: String = groups.chain(self.expected.iter().map(|input| expects(input))).collect();
         self.write(&all)
     }
 
@@ -129,19 +146,71 @@ impl Drop for Warden {
     }
 }
 
+/// A path in one line, whatever is in it.
+fn named(input: &Path) -> String {
+    input.as_os_str().as_encoded_bytes().iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn expects(input: &Path) -> String {
+    format!("?{}\n", named(input))
+}
+
 /// The warden's side: listens until the engine is gone, then kills what is left.
 pub fn watch_over() -> ExitCode {
     let mut groups = BTreeSet::new();
+    let mut expected = BTreeSet::new();
     for line in io::stdin().lock().lines() {
         let Ok(line) = line else { break };
-        match (line.strip_prefix('+'), line.strip_prefix('-')) {
-            (Some(group), _) => drop(group.parse::<i32>().map(|group| groups.insert(group))),
-            (_, Some(group)) => drop(group.parse::<i32>().map(|group| groups.remove(&group))),
+        let Some((word, rest)) = line.split_at_checked(1) else { continue };
+        match (word, rest.parse::<i32>()) {
+            ("+", Ok(group)) => drop(groups.insert(group)),
+            ("-", Ok(group)) => drop(groups.remove(&group)),
+            ("?", _) => drop(expected.insert(rest.to_owned())),
+            ("!", _) => drop(expected.remove(rest)),
             _ => {}
         }
     }
-    for group in groups.into_iter().filter(|group| *group > 1).filter_map(Pid::from_raw) {
-        let _ = kill_process_group(group, Signal::KILL);
+    groups.into_iter().for_each(kill);
+    let began = Instant::now();
+    while !expected.is_empty() && began.elapsed() < SEARCH {
+        for (input, process) in inputs() {
+            if expected.remove(&named(&input)) {
+                group_of(&process).into_iter().for_each(kill);
+            }
+        }
+        std::thread::sleep(Duration::from_millis(20));
     }
     ExitCode::SUCCESS
+}
+
+fn kill(group: i32) {
+    if let Some(group) = Pid::from_raw(group).filter(|_| group > 1) {
+        let _ = kill_process_group(group, Signal::KILL);
+    }
+}
+
+/// The standard input of every process that can be looked at, with the process's folder in `/proc`.
+fn inputs() -> Vec<(PathBuf, PathBuf)> {
+    let processes = fsx::list(Path::new("/proc")).unwrap_or_default().into_iter();
+    processes.filter_map(|process| Some((fsx::link_target(&process.join("fd/0"))?, process))).collect()
+}
+
+#[cfg(all(test, target_os = "linux"))]
+mod tests {
+    use super::*;
+    use crate::fsx::Lock;
+
+    #[test]
+    fn a_process_is_found_by_the_lock_that_is_its_input() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().canonicalize().unwrap().join("lock\nname");
+        let lock = Lock::try_acquire(&path).unwrap().unwrap();
+        let mut sleep = Command::new("sleep");
+        let mut child = sleep.arg("60").stdin(lock.as_input().unwrap()).process_group(0).spawn().unwrap();
+        drop(lock.as_input());
+        let own = |process: &Path| group_of(process) == i32::try_from(child.id()).ok();
+        let found = inputs().into_iter().find(|(input, process)| *input == path && own(process));
+        kill(group_of(&found.unwrap().1).unwrap());
+        assert!(!child.wait().unwrap().success());
+    }
 }

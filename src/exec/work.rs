@@ -319,12 +319,13 @@ fn run_again(
     for (digest, path) in &folders {
         site.store.lay_out(digest, path)?;
     }
+    let lock = Lock::acquire(&folder.join("lock"))?;
     // A place of its own: what the first run left must not help the second.
     job.checkpoints = folder.join("again").join("files");
     let launch = Launch {
         job: &job,
         kind: node.kind,
-        lock: None,
+        lock: Some(&lock),
         log,
         folder,
         threads: node.needs.threads.max(1),
