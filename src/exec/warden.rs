@@ -15,9 +15,9 @@ use std::process::{Child, Command, ExitCode, Stdio};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use rustix::process::{Pid, Signal, kill_process_group};
+use rustix::process::{Pid, Signal, getppid, kill_process_group};
 
-use super::memory::group_of;
+use super::memory::{group_of, parent_of};
 use crate::fsx;
 
 /// The argument that makes this program a warden.
@@ -174,7 +174,9 @@ pub fn watch_over() -> ExitCode {
     let began = Instant::now();
     while !expected.is_empty() && began.elapsed() < SEARCH {
         for (input, process) in inputs() {
-            if expected.remove(&named(&input)) {
+            // Whoever took the warden over has taken our program over too; that of the next engine has its engine.
+            let ours = parent_of(&process) == getppid().map(|parent| parent.as_raw_nonzero().get());
+            if ours && expected.remove(&named(&input)) {
                 group_of(&process).into_iter().for_each(kill);
             }
         }

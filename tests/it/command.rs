@@ -156,8 +156,8 @@ fn a_folder_goes_from_stage_to_stage_with_all_that_is_in_it() {
 
 #[test]
 fn a_checkpoint_outlives_a_failure_and_a_kill() {
-    let with = "{ shell: \"if test -e {checkpoints}/half; then cat {checkpoints}/half > a; else echo half > {checkpoints}/half; \
-                echo begun; sleep 60; fi\", outputs: { a: { type: table, path: a } } }";
+    let with = "{ shell: \"if test -e {checkpoints}/half; then cat {checkpoints}/half > a; else echo half > {checkpoints}/new; \
+                mv {checkpoints}/new {checkpoints}/half; sleep 60; fi\", outputs: { a: { type: table, path: a } } }";
     let sealed = one(with);
     let mut command = sealed.command("run p.yaml");
     let mut child =
@@ -229,6 +229,8 @@ fn a_program_still_dies_with_its_engine_where_the_warden_was_killed_before() {
     until("there is another warden", || {
         children_with(child.id(), "__warden").iter().any(|warden| !first.contains(warden))
     });
+    // And is told what there is.
+    std::thread::sleep(std::time::Duration::from_millis(500));
     signal(&child, "KILL");
     child.wait().unwrap();
     let state = || std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
