@@ -12,7 +12,7 @@ use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
 use fault::step;
-pub use folder::{Inside, Links, Outside, Stat, outside, put, walk};
+pub use folder::{Inside, Links, Outside, Stat, holds_at_most, outside, put, walk};
 pub use lock::Lock;
 
 /// What was tried on which path, and the system's answer.
@@ -244,6 +244,11 @@ pub fn rename_into(from: &Path, to: &Path) -> Result<bool> {
 /// It cannot be made.
 pub fn symlink(to: &Path, at: &Path) -> Result<()> {
     std::os::unix::fs::symlink(to, at).map_err(FsError::at("make a link at", at))
+}
+
+/// Where a symbolic link leads; `None` where there is none or it cannot be read.
+pub fn link_target(path: &Path) -> Option<PathBuf> {
+    std::fs::read_link(path).ok()
 }
 
 /// Size, and time of the last change in nanoseconds, of a regular file, links followed; `None` for anything else.

@@ -15,7 +15,7 @@ D=${DRIL_PIPE:-dril-pipe}
 echo "== dril-pipe"; mkdir $W/dril; cd $W/dril; cat > p.yaml <<YAML
 name: crash
 stages:
-  a: { kind: command, with: { shell: "echo half > {outputs.out}; echo begun >> $W/dril/seen.log; sleep 6; echo whole >> {outputs.out}; echo r >> $W/dril/runs.log", outputs: { out: out.txt } } }
+  a: { kind: command, with: { shell: "echo half > {outputs.out}; echo begun >> $W/dril/seen.log; sleep 6.5; echo whole >> {outputs.out}; echo r >> $W/dril/runs.log", outputs: { out: out.txt } } }
   b: { kind: command, with: { shell: "cp {inputs.a} {outputs.out}", outputs: { out: { path: b.csv, type: table } } }, inputs: { a: a } }
 YAML
-$D run p.yaml > 1.log 2>&1 & P=$!; for i in $(seq 100); do [ -f seen.log ] && break; sleep 0.1; done; sleep 1; kill -9 $P; sleep 0.5; echo "orphan still running: $(pgrep -f 'sleep 6' | wc -l)"; $D run p.yaml > 2.log 2>&1; echo "rerun rc=$?"; tail -2 2.log; echo "b:"; cat results/crash-default/b.*; echo "times that a ended: $(wc -l < runs.log)"
+$D run p.yaml > 1.log 2>&1 & P=$!; for i in $(seq 100); do [ -f seen.log ] && break; sleep 0.1; done; sleep 1; kill -9 $P; sleep 0.5; echo "orphan still running: $(pgrep -f "sleep 6[.]5" | wc -l)"; $D run p.yaml > 2.log 2>&1; echo "rerun rc=$?"; tail -2 2.log; echo "b:"; cat results/crash-default/b.*; echo "times that a ended: $(wc -l < runs.log)"

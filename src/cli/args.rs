@@ -2,6 +2,7 @@
 
 mod cache;
 mod inspect;
+pub(super) mod shell;
 
 use std::ffi::OsString;
 use std::num::NonZeroUsize;
@@ -14,6 +15,7 @@ use crate::resolve::{Choices, Selection};
 use crate::spec::limits::parse_time;
 pub(super) use cache::{CacheArgs, CacheCommand, DuArgs, ExportArgs, GcArgs, ImportArgs, VerifyArgs};
 pub(super) use inspect::{DiffArgs, ExplainArgs, LogArgs, RunsArgs, ShowArgs, StatusArgs};
+pub(super) use shell::{CompletionsArgs, ManArgs};
 
 const EXIT_CODES: &str = "\
 Exit codes:
@@ -67,6 +69,12 @@ pub(super) enum Command {
     Graph(GraphArgs),
     /// List the stage kinds, or one kind's parameters, inputs and outputs
     Kinds(KindsArgs),
+    /// Print the JSON Schema of pipeline files, for editors
+    Schema,
+    /// Print a script that completes command lines in a shell
+    Completions(CompletionsArgs),
+    /// Print the manual page, or write those of all commands
+    Man(ManArgs),
     /// Write a film of an episode that a policy plays
     #[command(after_help = REPLAY_EXAMPLES)]
     Replay(ReplayArgs),

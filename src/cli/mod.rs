@@ -19,6 +19,7 @@ mod replay;
 mod report;
 mod results;
 mod run;
+mod shell;
 mod signals;
 mod terminal;
 mod unchanged;
@@ -64,8 +65,13 @@ pub fn run_with(registry: Registry, extras: &[Extra], args: impl IntoIterator<It
     if let Some(job) = stage_job(&args) {
         return exec::run_stage(Path::new(job), &registry);
     }
+    if let [_, name] = &*args
+        && name == exec::WARDEN
+    {
+        return exec::watch_over();
+    }
     match args::read(args, extras, Terminal::stdout().colour) {
-        Request::Own(command) => own(&command, &registry),
+        Request::Own(command) => own(&command, &registry, extras),
         Request::Extra(index, args) => extra(&extras[index], &args),
         Request::Answer(text, is_mistake, code) => {
             if is_mistake {
@@ -106,7 +112,7 @@ fn stage_job(args: &[OsString]) -> Option<&OsStr> {
     }
 }
 
-fn own(command: &Command, registry: &Registry) -> ExitCode {
+fn own(command: &Command, registry: &Registry, extras: &[Extra]) -> ExitCode {
     let done = match command {
         Command::Run(args) => run::main(args, registry),
         Command::Watch(args) => watch::main(args, registry),
@@ -120,6 +126,9 @@ fn own(command: &Command, registry: &Registry) -> ExitCode {
         Command::Cache(args) => cache::main(args, registry),
         Command::Graph(args) => graph::main(args, registry),
         Command::Kinds(args) => kinds::main(args, registry),
+        Command::Schema => shell::schema(registry),
+        Command::Completions(args) => shell::completions(args, extras),
+        Command::Man(args) => shell::man(args, extras),
         Command::Replay(args) => replay::main(args, registry),
     };
     done.unwrap_or_else(|error| {

@@ -7,12 +7,13 @@ use std::path::{Path, PathBuf};
 use dril_stage_api::Registry;
 
 use super::args::{PipelineArgs, SelectArgs, StoreArgs};
+use super::inspect::no_stage;
 use crate::error::{Error, ErrorKind};
 use crate::fsx;
 use crate::plan::{self, Plan, Verdict};
 use crate::resolve::{self, Choices, Graph, Selected};
 use crate::spec::{self, Diagnostics, SourceName, Spec};
-use crate::store::Store;
+use crate::store::{Digest, Store};
 
 /// The environment variable that names the store.
 const CACHE: &str = "DRIL_PIPE_CACHE";
@@ -22,17 +23,29 @@ const CACHE: &str = "DRIL_PIPE_CACHE";
 /// # Errors
 /// All that is wrong with it.
 pub(super) fn load(args: &PipelineArgs, registry: &Registry) -> Result<Graph, Error> {
+    load_with(args, registry, &mut Parts::new())
+}
+
+/// Files that a pipeline file includes, directly or through others, with the content that was read.
+pub(super) type Parts = BTreeMap<PathBuf, Digest>;
+
+fn load_with(args: &PipelineArgs, registry: &Registry, parts: &mut Parts) -> Result<Graph, Error> {
     let name = SourceName(args.file.display().to_string());
-    let spec = read(&args.file, &name)?;
+    let spec = read(&args.file, &name, parts)?;
     let choices = Choices { environment: environment(), ..args.choices() };
     Ok(resolve::resolve(&spec, &choices, registry)?)
 }
 
 /// Reads a pipeline file and those that it includes.
-fn read(file: &Path, name: &SourceName) -> Result<Spec, Error> {
+fn read(file: &Path, name: &SourceName, parts: &mut Parts) -> Result<Spec, Error> {
     let bytes = fsx::read(file).map_err(|error| Diagnostics::unreadable(name, &error.source))?;
     let base = base_of(file);
-    let mut load = |path: &str| fsx::read(&base.join(path)).map_err(|error| error.source);
+    let mut load = |path: &str| {
+        let path = base.join(path);
+        let bytes = fsx::read(&path).map_err(|error| error.source)?;
+        parts.insert(path, Digest::of(&bytes));
+        Ok(bytes)
+    };
     Ok(spec::parse_with(&bytes, name, &mut load)?)
 }
 
@@ -48,7 +61,7 @@ fn environment() -> BTreeMap<String, String> {
 /// All that is wrong with it.
 pub(super) fn load_all_profiles(file: &Path, registry: &Registry) -> Result<Vec<Graph>, Error> {
     let name = SourceName(file.display().to_string());
-    let spec = read(file, &name)?;
+    let spec = read(file, &name, &mut Parts::new())?;
     let mut profiles: Vec<Option<String>> = spec.profiles().map(|profile| Some(profile.to_owned())).collect();
     if profiles.is_empty() {
         profiles.push(None);
@@ -70,8 +83,21 @@ pub(super) fn select(
     select: &SelectArgs,
     registry: &Registry,
 ) -> Result<Selected, Error> {
-    let graph = load(args, registry)?;
-    select.selection().of(graph).map_err(|error| Error::new(ErrorKind::Usage, error.message).hint(error.hint))
+    select_with(args, select, registry, &mut Parts::new())
+}
+
+/// As [`select`]; `parts` is told which files were included.
+///
+/// # Errors
+/// As [`select`].
+pub(super) fn select_with(
+    args: &PipelineArgs,
+    select: &SelectArgs,
+    registry: &Registry,
+    parts: &mut Parts,
+) -> Result<Selected, Error> {
+    let graph = load_with(args, registry, parts)?;
+    select.selection().of(graph).map_err(no_stage)
 }
 
 /// The plan for what is selected.

@@ -8,6 +8,7 @@ use serde_json::{Map, Value, json};
 
 use super::args::RunArgs;
 use super::lockfile::{self, Keys, LockFile};
+use super::pipeline::Parts;
 use super::report::{self, Ending, Left};
 use super::unchanged::Circumstances;
 use super::{checked, pipeline, results, signals};
@@ -26,7 +27,8 @@ pub(super) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Erro
     {
         return Ok(ExitCode::SUCCESS);
     }
-    let selected = pipeline::select(&args.pipeline, &args.select, registry)?;
+    let mut parts = Parts::new();
+    let selected = pipeline::select_with(&args.pipeline, &args.select, registry, &mut parts)?;
     let graph = &selected.graph;
     let store = pipeline::store(&args.store)?;
     let plan = pipeline::plan(&selected, &store, &args.pipeline)?;
@@ -36,7 +38,7 @@ pub(super) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Erro
     }
     // Only of a file that did not change while it was read.
     let circumstances = circumstances.filter(|before| Circumstances::of(args).as_ref() == Some(before));
-    let files = plan.files.values().map(|file| (file.path.clone(), file.digest)).collect();
+    parts.extend(plan.files.values().map(|file| (file.path.clone(), file.digest)));
     let lock = Locked::read(args)?;
     lock.check_plan(&plan)?;
     let options = options(args, began)?;
@@ -60,7 +62,7 @@ pub(super) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Erro
     let left =
         if executed.outcome.out_of_time { left(args, graph, &store, options.threads).ok() } else { None };
     if let Some(circumstances) = circumstances.filter(|_| error.is_none() && executed.outcome.is_complete()) {
-        circumstances.note(graph, &store, files, &executed, published.as_ref());
+        circumstances.note(graph, &store, parts, &executed, published.as_ref());
     }
     // The work is done and in the store: its end is told, whatever became of the copies.
     let mut code = error.as_ref().map_or_else(|| exit_code(&executed), |error| error.kind().exit_code());

@@ -27,7 +27,7 @@ const LARGEST: u64 = 16 << 20;
 struct Note {
     pipeline: String,
     profile: String,
-    /// Files from outside, as the long way found them.
+    /// Files that the pipeline file includes and files from outside, as the long way found them.
     files: BTreeMap<PathBuf, Digest>,
     results: Option<PathBuf>,
     result_files: usize,
@@ -66,10 +66,6 @@ impl Circumstances {
             return None;
         }
         let source = fsx::read(&pipeline.file).ok()?;
-        // Other files that the pipeline is made of are not looked at here.
-        if source.windows(7).any(|word| word == b"include") {
-            return None;
-        }
         let lock = fsx::read_if_there(&lockfile::path_of(&pipeline.file)).ok()?;
         let here = std::env::current_dir().ok()?;
         let choices = format!("{:?}", pipeline.choices());
@@ -116,8 +112,8 @@ impl Circumstances {
         Ok(true)
     }
 
-    /// Notes a complete run for the next one; `files` are those from outside as the plan found them, since one that was
-    /// changed in the meantime must not be taken for them. That it cannot be noted is no error.
+    /// Notes a complete run for the next one; `files` are those that the pipeline file includes and those from
+    /// outside, as they were found: one that was changed in the meantime must not be taken for them. That it cannot be noted is no error.
     pub fn note(
         &self,
         graph: &Graph,

@@ -1,15 +1,19 @@
 //! Runs a job in a child process: a group of its own, which goes with the engine and leaves nothing behind.
+//!
+//! A stage of our own kinds is `dril-pipe __stage JOB`, or a worker beside it. A kind whose work is another program's
+//! costs no process of ours: the program is started as it is.
 
 use std::ffi::OsString;
 use std::io;
 use std::os::fd::AsFd;
 use std::os::unix::process::{CommandExt, ExitStatusExt};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use dril_stage_api::Message;
+use dril_stage_api::{Message, Prepared, StageError};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
 
@@ -17,6 +21,7 @@ use super::listen::Listener;
 use super::memory;
 use super::runner::{Exit, Launch, Runner};
 use super::stage::EXIT_STOPPED;
+use super::warden::{Guarded, Warden};
 use crate::fsx::{self, Entry, File};
 
 /// How soon a wish to stop is noticed.
@@ -38,18 +43,25 @@ const THREAD_LIMITS: [&str; 5] = [
 #[derive(Clone, Debug)]
 pub struct ChildRunner {
     /// The program for the kinds that have no worker; workers are looked for in its folder.
-    pub program: PathBuf,
+    program: PathBuf,
     /// Arguments before the job file.
-    pub args: Vec<OsString>,
+    args: Vec<OsString>,
+    warden: Arc<Warden>,
 }
 
 impl ChildRunner {
+    /// `program` for the kinds that have no worker, with `args` before the job file; workers are looked for in its folder.
+    pub fn new(program: impl Into<PathBuf>, args: impl IntoIterator<Item = OsString>) -> Self {
+        let program = program.into();
+        Self { args: args.into_iter().collect(), warden: Arc::new(Warden::new(program.clone())), program }
+    }
+
     /// This program and the workers beside it, as `__stage JOB`.
     ///
     /// # Errors
     /// The system does not say which file this program is.
     pub fn this_program() -> io::Result<Self> {
-        Ok(Self { program: std::env::current_exe()?, args: vec!["__stage".into()] })
+        Ok(Self::new(std::env::current_exe()?, ["__stage".into()]))
     }
 
     fn program(&self, worker: Option<&str>) -> PathBuf {
@@ -59,11 +71,14 @@ impl ChildRunner {
         }
     }
 
-    fn spawn(&self, launch: &Launch<'_>, log: &File) -> io::Result<Child> {
+    /// A stage of our own kinds.
+    fn spawn(&self, program: &Path, launch: &Launch<'_>, log: &File) -> io::Result<Child> {
         let threads = launch.threads.max(1).to_string();
-        Command::new(self.program(launch.worker))
+        let job = launch.folder.join("job.json");
+        fsx::write(&job, &serde_json::to_vec(launch.job)?).map_err(io::Error::other)?;
+        Command::new(program)
             .args(&self.args)
-            .arg(launch.job)
+            .arg(job)
             .envs(THREAD_LIMITS.map(|name| (name, &threads)))
             .current_dir(launch.folder)
             .stdin(Stdio::piped())
@@ -71,7 +86,63 @@ impl ChildRunner {
             .stderr(log.try_clone()?)
             .process_group(0)
             .spawn()
+            .map_err(|error| {
+                io::Error::new(error.kind(), format!("cannot start `{}`: {error}", program.display()))
+            })
     }
+
+    /// A program that is nothing of ours.
+    fn run_program(
+        &self,
+        prepared: Result<Prepared, StageError>,
+        launch: &Launch<'_>,
+        hear: &mut dyn FnMut(Message),
+    ) -> io::Result<Exit> {
+        let mut prepared = match prepared {
+            Ok(prepared) => prepared,
+            Err(error) => return Ok(Exit::Failed(error.to_string())),
+        };
+        let log = fsx::open_append(launch.log).map_err(io::Error::other)?;
+        let process = &mut prepared.process;
+        cap_threads(process, launch.threads);
+        process
+            .stdin(launch.lock.map_or_else(|| Ok(Stdio::null()), |lock| lock.as_input().map(Stdio::from))?);
+        process.stdout(Stdio::piped()).stderr(log.try_clone()?).process_group(0);
+        // As the system names it.
+        let input = launch.lock.and_then(|lock| lock.path().canonicalize().ok());
+        input.iter().try_for_each(|input| self.warden.expect(input))?;
+        let spawned = process.spawn();
+        let watched = spawned.map(|child| {
+            let mut watched = Watched::new(child, Listener::new(log), launch)?;
+            watched.guarded = Some(self.warden.guard(watched.group)?);
+            Ok::<_, io::Error>(watched)
+        });
+        input.iter().for_each(|input| self.warden.settle(input));
+        let mut watched = match watched {
+            Ok(watched) => watched?,
+            Err(error) => return Ok(Exit::Failed(prepared.not_started(&error).to_string())),
+        };
+        let status = watched.watch(hear)?;
+        // Whatever its end: what it did to its inputs has to be known.
+        let finished = (prepared.finish)(status);
+        Ok(match finished {
+            Ok(()) if status.success() => Exit::Done,
+            Err(error) if status.success() => Exit::Failed(error.to_string()),
+            finished => watched.unsuccessful(status, || match finished {
+                _ if watched.asked.is_some() => Exit::Stopped,
+                Err(error) => Exit::Failed(error.to_string()),
+                Ok(()) => exit(status, false, None),
+            }),
+        })
+    }
+}
+
+/// Caps the threads of libraries, where the program is not told otherwise.
+fn cap_threads(process: &mut Command, threads: usize) {
+    let threads = threads.max(1).to_string();
+    let given: Vec<OsString> = process.get_envs().map(|(name, _)| name.to_owned()).collect();
+    let left = THREAD_LIMITS.iter().filter(|name| !given.iter().any(|given| given == **name));
+    process.envs(left.map(|name| (name, &threads)));
 }
 
 impl Runner for ChildRunner {
@@ -85,23 +156,17 @@ impl Runner for ChildRunner {
     }
 
     fn run(&self, launch: &Launch<'_>, hear: &mut dyn FnMut(Message)) -> io::Result<Exit> {
+        if let Some(prepared) = launch.kind.prepare(launch.job) {
+            return self.run_program(prepared, launch, hear);
+        }
         let log = fsx::open_append(launch.log).map_err(io::Error::other)?;
-        let child = self.spawn(launch, &log).map_err(|error| {
-            let program = self.program(launch.worker);
-            io::Error::new(error.kind(), format!("cannot start `{}`: {error}", program.display()))
-        })?;
+        let child = self.spawn(&self.program(launch.kind.worker()), launch, &log)?;
         let mut watched = Watched::new(child, Listener::new(log), launch)?;
         let status = watched.watch(hear)?;
-        Ok(match watched.over {
-            _ if status.success() => Exit::Done,
-            Some(Over::Time) => Exit::TimedOut,
-            Some(Over::Memory(bytes)) => Exit::OutOfMemory(too_much(bytes, launch)),
-            None if watched.killed_for_memory(status) => Exit::OutOfMemory(
-                "it was killed by the system, whose memory ran out; give it fewer neighbours (`--jobs`)"
-                    .to_owned(),
-            ),
-            None => exit(status, watched.asked.is_some(), watched.listener.failure()),
-        })
+        if status.success() {
+            return Ok(Exit::Done);
+        }
+        Ok(watched.unsuccessful(status, || exit(status, watched.asked.is_some(), watched.listener.failure())))
     }
 }
 
@@ -127,6 +192,8 @@ struct Watched<'a> {
     ended: Option<rustix::fd::OwnedFd>,
     listener: Listener,
     launch: &'a Launch<'a>,
+    /// Where it does not see to it itself: that it dies with the engine.
+    guarded: Option<Guarded<'a>>,
     asked: Option<Instant>,
     over: Option<Over>,
     began: Instant,
@@ -149,6 +216,7 @@ impl<'a> Watched<'a> {
             ended,
             listener,
             launch,
+            guarded: None,
             asked: None,
             over: None,
             began: now,
@@ -165,6 +233,8 @@ impl<'a> Watched<'a> {
             self.stop_if_over();
             if self.wait_for_news(open)? {
                 open = self.listener.read(self.child.stdout.as_mut(), hear)?;
+            } else if let Some(guarded) = &self.guarded {
+                guarded.renew()?;
             }
         }
         // The child is dead but not yet reaped, so its number still names its group, and nobody else's.
@@ -173,6 +243,7 @@ impl<'a> Watched<'a> {
             open = self.listener.read(self.child.stdout.as_mut(), hear)?;
         }
         self.listener.finish(hear)?;
+        self.guarded = None;
         self.reaped = true;
         self.child.wait()
     }
@@ -216,6 +287,19 @@ impl<'a> Watched<'a> {
         }
     }
 
+    /// How it ended without success; `otherwise` where no limit was the cause.
+    fn unsuccessful(&self, status: ExitStatus, otherwise: impl FnOnce() -> Exit) -> Exit {
+        match self.over {
+            Some(Over::Time) => Exit::TimedOut,
+            Some(Over::Memory(bytes)) => Exit::OutOfMemory(too_much(bytes, self.launch)),
+            None if self.killed_for_memory(status) => Exit::OutOfMemory(
+                "it was killed by the system, whose memory ran out; give it fewer neighbours (`--jobs`)"
+                    .to_owned(),
+            ),
+            None => otherwise(),
+        }
+    }
+
     /// True where the system has killed something since the stage began, and the stage was killed, but not by us.
     fn killed_for_memory(&self, status: ExitStatus) -> bool {
         let killed = status.signal() == Some(Signal::KILL.as_raw()) && self.asked.is_none();
@@ -252,6 +336,7 @@ impl Drop for Watched<'_> {
     fn drop(&mut self) {
         if !self.reaped {
             self.kill(Signal::KILL);
+            self.guarded = None;
             let _ = self.child.wait();
         }
     }
@@ -306,8 +391,6 @@ fn signal_name(signal: i32) -> String {
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
-
     use super::*;
 
     #[test]
@@ -327,7 +410,7 @@ mod tests {
 
     #[test]
     fn a_worker_is_looked_for_beside_the_program() {
-        let runner = ChildRunner { program: Path::new("/opt/bin/dril-pipe").into(), args: Vec::new() };
+        let runner = ChildRunner::new("/opt/bin/dril-pipe", []);
         assert_eq!(runner.program(Some("dril-pipe-learn")), Path::new("/opt/bin/dril-pipe-learn"));
         let error = runner.check(Some("dril-pipe-learn")).unwrap_err();
         assert!(error.contains("`/opt/bin/dril-pipe-learn` is not there"), "{error}");

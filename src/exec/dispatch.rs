@@ -73,6 +73,8 @@ pub(super) struct Dispatcher<'a, 's> {
     elsewhere: Elsewhere,
     /// Keys that are being built here, with the other stages that have the same key.
     twins: HashMap<Key, Vec<StageIndex>>,
+    /// What was built here and is on its way to the disk: its lock is held until it is there.
+    underway: HashMap<Key, Arc<Outputs>>,
     threads_used: usize,
     running: usize,
     /// When each running stage began, for what may slip in before one that has no room.
@@ -109,6 +111,7 @@ impl<'a, 's> Dispatcher<'a, 's> {
             ready: Ready::default(),
             elsewhere: Elsewhere::default(),
             twins: HashMap::new(),
+            underway: HashMap::new(),
             threads_used: 0,
             running: 0,
             pace: backfill::Pace::default(),
@@ -234,6 +237,9 @@ impl<'a, 's> Dispatcher<'a, 's> {
             twins.push(stage);
             self.state[stage.index()] = State::Twin;
             return Ok(());
+        }
+        if let Some(outputs) = self.underway.get(&key).map(Arc::clone) {
+            return self.settle(stage, key, outputs);
         }
         let run = self.open_run()?;
         let Some(lock) = self.site.store.try_lock(&key)? else {

@@ -23,11 +23,21 @@ pub(super) fn resident(group: Pid) -> Option<u64> {
     bytes
 }
 
-/// The process group in `/proc/<process>/stat`: the third field after the name, which ends at the last `)`.
-fn group_of(process: &Path) -> Option<i32> {
+/// The process group of a process, given by its folder in `/proc`.
+pub(super) fn group_of(process: &Path) -> Option<i32> {
+    field(process, 2)
+}
+
+/// The process that started it, or took it over when that one died.
+pub(super) fn parent_of(process: &Path) -> Option<i32> {
+    field(process, 1)
+}
+
+/// A number of `/proc/<process>/stat`, counted from the first field after the name, which ends at the last `)`.
+fn field(process: &Path, number: usize) -> Option<i32> {
     let stat = fsx::read(&process.join("stat")).ok()?;
     let stat = String::from_utf8_lossy(&stat);
-    stat.rsplit_once(')')?.1.split_whitespace().nth(2)?.parse().ok()
+    stat.rsplit_once(')')?.1.split_whitespace().nth(number)?.parse().ok()
 }
 
 /// `VmRSS` in `/proc/<process>/status`, in bytes.

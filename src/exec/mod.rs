@@ -11,6 +11,7 @@ mod memory;
 mod ready;
 mod runner;
 mod stage;
+mod warden;
 mod work;
 
 use std::path::PathBuf;
@@ -25,6 +26,7 @@ pub use event::{Cause, Event, Outcome};
 pub use inline::InlineRunner;
 pub use runner::{Exit, Launch, Runner};
 pub use stage::{EXIT_STOPPED, run_stage};
+pub use warden::{WARDEN, watch_over};
 
 use crate::fsx::Lock;
 use crate::plan::{Plan, Verdict};

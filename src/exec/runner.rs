@@ -5,21 +5,25 @@ use std::path::Path;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use dril_stage_api::Message;
+use dril_stage_api::{Job, Kind, Message};
 
+use crate::fsx::Lock;
 use crate::spec::Limits;
 
 /// What a runner is to start.
 #[derive(Clone, Copy, Debug)]
 pub struct Launch<'a> {
-    /// The job file ([`dril_stage_api::Job`] as JSON).
-    pub job: &'a Path,
+    /// What is to be done.
+    pub job: &'a Job,
+    /// The kind that does it.
+    pub kind: Kind,
+    /// The right to do the work, which a process may hold on to longer than this one lives; none for work that nobody else
+    /// could do at the same time.
+    pub lock: Option<&'a Lock>,
     /// The file for all that the stage prints.
     pub log: &'a Path,
     /// The folder that it may work in; removed afterwards.
     pub folder: &'a Path,
-    /// The executable, beside this one, that runs the kind; `None` where this one does.
-    pub worker: Option<&'static str>,
     /// Threads that it may keep busy.
     pub threads: usize,
     /// Raised when the stage shall stop: first asked to, then, after `grace`, killed.

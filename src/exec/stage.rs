@@ -26,7 +26,7 @@ pub fn run_stage(job_file: &Path, registry: &Registry) -> ExitCode {
     }
     let mut messages = std::io::stdout();
     // A panic is on its way to the log already; what it said goes to the engine as well.
-    let work = AssertUnwindSafe(|| perform(job_file, registry, &cancel, &mut messages));
+    let work = AssertUnwindSafe(|| perform(&read(job_file)?, registry, &cancel, &mut messages));
     let result = catch_unwind(work).unwrap_or_else(|payload| Err(panicked(payload.as_ref())));
     match result {
         Ok(()) => ExitCode::SUCCESS,
@@ -45,19 +45,22 @@ fn panicked(payload: &dyn Any) -> StageError {
     StageError::failed(format!("it panicked: {text}; the log says where"))
 }
 
-/// Runs the job of a file in this thread.
+fn read(job_file: &Path) -> Result<Job, StageError> {
+    let bytes = fsx::read(job_file).map_err(StageError::failed)?;
+    serde_json::from_slice(&bytes)
+        .map_err(|error| StageError::failed(format!("`{}` is no job: {error}", job_file.display())))
+}
+
+/// Runs a job in this thread.
 ///
 /// # Errors
-/// The job cannot be read, is not for this registry, or the stage fails.
+/// The job is not for this registry, or the stage fails.
 pub(super) fn perform(
-    job_file: &Path,
+    job: &Job,
     registry: &Registry,
     cancel: &AtomicBool,
     messages: &mut dyn Write,
 ) -> Result<(), StageError> {
-    let bytes = fsx::read(job_file).map_err(StageError::failed)?;
-    let job: Job = serde_json::from_slice(&bytes)
-        .map_err(|error| StageError::failed(format!("`{}` is no job: {error}", job_file.display())))?;
     let Some(kind) = registry.get(&job.kind) else {
         return Err(StageError::failed(format!("this program has no kind `{}`", job.kind)));
     };
@@ -70,7 +73,7 @@ pub(super) fn perform(
         )));
     }
     let _alone = alone_in(&job.checkpoints).map_err(StageError::failed)?;
-    kind.run(&job.params, &mut Ctx::new(&job, cancel, messages))
+    kind.run(&job.params, &mut Ctx::new(job, cancel, messages))
 }
 
 /// Makes the folder for checkpoints and locks it: a stage of an engine that was killed may still be about to die.

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::SyncSender;
 use std::time::{Duration, Instant};
 
-use dril_stage_api::{Artifact, Job, JobInput, JobOutput, Message, Output, Ports, Seed};
+use dril_stage_api::{Artifact, Job, JobInput, JobOutput, Kind, Message, Output, Ports, Seed};
 
 use super::check::Again;
 use super::dispatch::{Shape, log_stem};
@@ -43,7 +43,7 @@ pub(super) struct Task<'a> {
     pub run: Arc<Run>,
     pub job: Job,
     pub ports: &'a Ports,
-    pub worker: Option<&'static str>,
+    pub kind: Kind,
     pub threads: usize,
     pub limits: Limits,
     /// Files from outside that it reads.
@@ -117,7 +117,7 @@ impl<'a> Task<'a> {
             folders,
             record: record(node, done, shape),
             ports: &node.ports,
-            worker: node.kind.worker(),
+            kind: node.kind,
             threads: node.needs.threads.max(1),
             limits: node.limits,
             files: outside(node, shape).collect(),
@@ -146,8 +146,7 @@ impl<'a> Task<'a> {
                 let _ = news.send(News::Committed(stage, committed.map(|()| took)));
             }
         }
-        // Garbage that stays behind is removed with the run's folder.
-        let _ = fsx::remove_dir_all(&self.folder);
+        self.run.clear(&self.folder);
         let _ = self.lock.remove();
     }
 
@@ -178,7 +177,6 @@ impl<'a> Task<'a> {
                 }
                 std::thread::sleep(GLANCE.min(pause - began.elapsed().min(pause)));
             }
-            fsx::remove_dir_all(&self.folder)?;
         }
     }
 
@@ -195,23 +193,22 @@ impl<'a> Task<'a> {
             }
             bring_in(file, site.store, &self.run)?;
         }
+        // What an earlier stage of this run with the same key has left (two that were forced).
+        fsx::remove_dir_all(&self.folder)?;
         fsx::create_dir(&self.folder)?;
         if self.ports.outside.is_some() {
             self.pass_on();
             return Ok((Vec::new(), Duration::ZERO));
         }
-        fsx::create_dir(&outputs_folder(&self.folder))?;
         for (digest, path) in &self.folders {
             site.store.lay_out(digest, path)?;
         }
-        let job_file = self.folder.join("job.json");
-        let job = serde_json::to_vec(&self.job).map_err(Failure::by_itself)?;
-        fsx::write(&job_file, &job)?;
         let launch = Launch {
-            job: &job_file,
+            job: &self.job,
+            kind: self.kind,
+            lock: Some(&self.lock),
             log: &self.log,
             folder: &self.folder,
-            worker: self.worker,
             threads: self.threads,
             stop: site.halt,
             grace: site.options.grace,
@@ -268,7 +265,7 @@ impl<'a> Task<'a> {
 
     fn commit(&self, store: &Store, blobs: &[Blob]) -> Result<(), StoreError> {
         store.commit(&self.key, &self.record, blobs, &self.folder)?;
-        store.clear_checkpoints(&self.key)
+        store.clear_checkpoints(&self.key, &self.folder)
     }
 }
 
@@ -318,20 +315,19 @@ fn run_again(
         bring_in(file, site.store, run)?;
     }
     fsx::create_dir(folder)?;
-    fsx::create_dir(&outputs_folder(folder))?;
     let (mut job, folders) = job(node, key, folder, done, shape, site);
     for (digest, path) in &folders {
         site.store.lay_out(digest, path)?;
     }
+    let lock = Lock::acquire(&folder.join("lock"))?;
     // A place of its own: what the first run left must not help the second.
     job.checkpoints = folder.join("again").join("files");
-    let job_file = folder.join("job.json");
-    fsx::write(&job_file, &serde_json::to_vec(&job).map_err(Failure::by_itself)?)?;
     let launch = Launch {
-        job: &job_file,
+        job: &job,
+        kind: node.kind,
+        lock: Some(&lock),
         log,
         folder,
-        worker: node.kind.worker(),
         threads: node.needs.threads.max(1),
         stop: site.halt,
         grace: site.options.grace,
@@ -465,12 +461,8 @@ fn record(node: &StageInstance, done: &[Option<Arc<Outputs>>], shape: Shape<'_>)
 
 /// Where a stage writes an output.
 fn output_path(folder: &Path, name: &str, extension: &str) -> PathBuf {
-    let folder = outputs_folder(folder);
-    if extension.is_empty() { folder.join(name) } else { folder.join(format!("{name}.{extension}")) }
-}
-
-fn outputs_folder(folder: &Path) -> PathBuf {
-    folder.join("outputs")
+    let ending = if extension.is_empty() { "" } else { "." };
+    folder.join(format!("output-{name}{ending}{extension}"))
 }
 
 fn check_output(output: &Output, path: &Path) -> Result<(), Failure> {

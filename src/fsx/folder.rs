@@ -43,6 +43,25 @@ impl Stat {
     }
 }
 
+/// True where the files in a folder, all the way down, have at most so many bytes; false where that cannot be seen.
+pub fn holds_at_most(folder: &Path, bytes: u64) -> bool {
+    left_of(folder, bytes, 0).is_some()
+}
+
+fn left_of(folder: &Path, bytes: u64, depth: usize) -> Option<u64> {
+    let mut left = bytes;
+    for entry in std::fs::read_dir(folder).ok()? {
+        let entry = entry.ok().filter(|_| depth < DEEPEST)?;
+        let kind = entry.file_type().ok()?;
+        if kind.is_dir() {
+            left = left_of(&entry.path(), left, depth + 1)?;
+        } else if kind.is_file() {
+            left = left.checked_sub(entry.metadata().ok()?.len())?;
+        }
+    }
+    Some(left)
+}
+
 /// What is at a path from outside, links followed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outside {

@@ -79,6 +79,16 @@ impl Lock {
         super::remove_file(&self.path).map(drop)
     }
 
+    /// The lock's file as an input that ends at once, for a process that is started: the lock is held until that process
+    /// and all that got the input from it are gone too, whatever becomes of this one.
+    ///
+    /// # Errors
+    /// The system has no descriptor left.
+    pub fn as_input(&self) -> std::io::Result<File> {
+        self.file.set_len(0)?;
+        self.file.try_clone()
+    }
+
     /// Its file.
     pub fn path(&self) -> &Path {
         &self.path
@@ -93,7 +103,7 @@ impl Drop for Lock {
 }
 
 fn open(path: &Path) -> Result<File> {
-    let opened = OpenOptions::new().write(true).create(true).truncate(false).open(path);
+    let opened = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path);
     opened.map_err(FsError::at("open the lock", path))
 }
 

@@ -7,4 +7,4 @@ mod import;
 use dril_stage_api::Kind;
 
 /// The kinds.
-pub const KINDS: [Kind; 2] = [Kind::of::<command::Command>(), Kind::of::<import::Import>()];
+pub const KINDS: [Kind; 2] = [Kind::of_program::<command::Command>(), Kind::of::<import::Import>()];

@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
-use dril_stage_api::{Kind, Needs, Outside, Ports, Registry, Seed};
+use dril_stage_api::{Kind, Look, Needs, Outside, Ports, Registry, Seed};
 use serde_json::Value as Json;
 
 use super::axes::{Axes, Axis, AxisValue};
@@ -211,12 +211,13 @@ fn instance_of(
     let own_seed = stage.seed.as_ref().map(|node| globals::seed(node, scope, filler));
     let (kind, with) = (expanded.kind?, with?);
     let whole = stage.with.as_ref().map_or(stage.name.span, |with| with.span);
-    let checked = kind.normalize(&params::to_json(&with)).and_then(|mut params| {
-        from_environment(&kind, &mut params, environment);
-        let (ports, needs, seeded) = (kind.ports(&params)?, kind.needs(&params)?, kind.seeded_by(&params)?);
-        Ok((params, ports, needs, seeded))
-    });
-    if own_seed.is_some() && checked.as_ref().is_ok_and(|(_, _, _, seeded)| !seeded) {
+    let mut checked = kind.look(&params::to_json(&with));
+    if let Ok(look) = &mut checked
+        && from_environment(&kind, &mut look.params, environment)
+    {
+        checked = kind.look(&look.params);
+    }
+    if own_seed.is_some() && checked.as_ref().is_ok_and(|look| !look.seeded) {
         let at = stage.seed.as_ref().map_or(stage.name.span, |seed| seed.span);
         filler.problems.add(|| {
             Problem::new(
@@ -231,7 +232,7 @@ fn instance_of(
         });
     }
     match checked {
-        Ok((params, ports, needs, seeded)) => {
+        Ok(Look { params, ports, needs, seeded }) => {
             let seed = own_seed.unwrap_or(pipeline_seed);
             let seed = if seeded { Some(Seed(seed?)) } else { None };
             let outside = ports.outside.clone().map(|outside| {
@@ -257,14 +258,17 @@ fn instance_of(
     }
 }
 
-/// Fills in the variables that the parameters name without a value.
-fn from_environment(kind: &Kind, params: &mut Json, environment: &BTreeMap<String, String>) {
+/// Fills in the variables that the parameters name without a value; true where there was one to fill in.
+fn from_environment(kind: &Kind, params: &mut Json, environment: &BTreeMap<String, String>) -> bool {
+    let mut filled = false;
     let variables = kind.environment().and_then(|field| params.get_mut(field)?.as_object_mut());
     for (name, value) in variables.into_iter().flatten().filter(|(_, value)| value.is_null()) {
         if let Some(found) = environment.get(name) {
             *value = Json::String(found.clone());
+            filled = true;
         }
     }
+    filled
 }
 
 /// The parameters of an instance, put together; an empty map where nothing is written.

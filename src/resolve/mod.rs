@@ -18,6 +18,7 @@ mod items;
 mod matrix;
 mod merge;
 mod params;
+mod pattern;
 mod reference;
 mod scope;
 mod select;
@@ -29,7 +30,8 @@ use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
 pub use graph::{From, Graph, Source, StageIndex, StageInstance, Wire};
-pub use target::{NoStage, Selected, Selection};
+pub use pattern::{NoStage, Pattern};
+pub use target::{Selected, Selection};
 
 use dril_stage_api::Registry;
 

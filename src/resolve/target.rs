@@ -7,7 +7,7 @@ use petgraph::graph::DiGraph;
 use petgraph::visit::EdgeRef;
 
 use super::graph::{From, Graph, StageIndex, StageInstance};
-use crate::spec::suggest;
+use super::pattern::{NoStage, Pattern};
 
 /// What was asked for.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -48,16 +48,6 @@ impl Selected {
             None => Some(stage),
         }
     }
-}
-
-/// A pattern that means no stage.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{message}")]
-pub struct NoStage {
-    /// What was seen and what was expected.
-    pub message: String,
-    /// How to mend it.
-    pub hint: String,
 }
 
 impl Selection {
@@ -118,16 +108,8 @@ impl Selection {
 /// Marks the stages that the patterns mean.
 fn mark(graph: &Graph, patterns: &[String], marks: &mut [bool]) -> Result<(), NoStage> {
     for text in patterns {
-        let pattern = Pattern::parse(text)?;
-        let mut found = false;
-        for (mark, stage) in marks.iter_mut().zip(graph.stages.node_weights()) {
-            if pattern.fits(stage) {
-                *mark = true;
-                found = true;
-            }
-        }
-        if !found {
-            return Err(pattern.explain(graph));
+        for stage in Pattern::parse(text)?.stages(graph)? {
+            marks[stage.index()] = true;
         }
     }
     Ok(())
@@ -168,121 +150,4 @@ fn restrict(graph: &Graph, kept: &[bool]) -> (Graph, Vec<Option<StageIndex>>) {
         }
     }
     (Graph { pipeline: graph.pipeline.clone(), profile: graph.profile.clone(), stages }, places)
-}
-
-/// `name[axis=value|value, axis=value]`, with `*` and `?` in names and values.
-struct Pattern<'t> {
-    text: &'t str,
-    name: &'t str,
-    axes: Vec<(&'t str, Vec<&'t str>)>,
-}
-
-impl<'t> Pattern<'t> {
-    fn parse(text: &'t str) -> Result<Self, NoStage> {
-        let bad = || NoStage {
-            message: format!("`{}` names no stage", crate::spec::node::shorten(text)),
-            hint: "stages are named as `table22`, `table*` or `evaluate[policy=beta, seed=1|2]`".to_owned(),
-        };
-        let (name, rest) = match text.split_once('[') {
-            Some((name, rest)) => (name, Some(rest.trim_end().strip_suffix(']').ok_or_else(bad)?)),
-            None => (text, None),
-        };
-        let mut axes = Vec::new();
-        for part in rest.iter().flat_map(|rest| rest.split(',')) {
-            let (axis, values) = part.split_once('=').ok_or_else(bad)?;
-            axes.push((axis.trim(), values.split('|').map(str::trim).collect()));
-        }
-        let name = name.trim();
-        if name.is_empty() || name.contains([']', '=']) { Err(bad()) } else { Ok(Self { text, name, axes }) }
-    }
-
-    fn fits(&self, stage: &StageInstance) -> bool {
-        glob(self.name, &stage.name)
-            && self.axes.iter().all(|(axis, values)| {
-                let coordinate = stage.coordinates.iter().find(|(name, _)| name == axis);
-                coordinate.is_some_and(|(_, value)| values.iter().any(|pattern| glob(pattern, value)))
-            })
-    }
-
-    /// Why it fits nothing.
-    fn explain(&self, graph: &Graph) -> NoStage {
-        let stages = || graph.stages.node_weights();
-        let distinct = |names: &mut dyn Iterator<Item = String>| names.collect::<BTreeSet<_>>();
-        let shown = crate::spec::node::shorten(self.text);
-        let named: Vec<&StageInstance> = stages().filter(|stage| glob(self.name, &stage.name)).collect();
-        if named.is_empty() {
-            let known = distinct(&mut stages().map(|stage| stage.name.to_string()));
-            let hint = suggest::hint(self.name, "the stages", known.iter().map(String::as_str));
-            return NoStage { message: format!("there is no stage `{shown}`"), hint };
-        }
-        for (axis, values) in &self.axes {
-            let on_axis = named.iter().flat_map(|stage| &stage.coordinates).filter(|(name, _)| name == axis);
-            let known = distinct(&mut on_axis.map(|(_, value)| value.clone()));
-            let known: Vec<&str> = known.iter().map(String::as_str).collect();
-            if known.is_empty() {
-                let axes = distinct(
-                    &mut named.iter().flat_map(|stage| &stage.coordinates).map(|(name, _)| name.clone()),
-                );
-                let hint = suggest::hint(axis, "its axes", axes.iter().map(String::as_str));
-                return NoStage { message: format!("`{shown}`: the stage has no axis `{axis}`"), hint };
-            }
-            if !known.iter().any(|value| values.iter().any(|pattern| glob(pattern, value))) {
-                let value = values.join("|");
-                let hint = suggest::hint(&value, "its values", known.iter().copied());
-                return NoStage { message: format!("`{shown}`: no instance has `{axis}={value}`"), hint };
-            }
-        }
-        NoStage {
-            message: format!("`{shown}`: no instance has all of these values"),
-            hint: "leave one of them out; `dril-pipe plan --all` lists the instances".to_owned(),
-        }
-    }
-}
-
-/// True where `text` is what `pattern` says: `*` stands for any characters, `?` for one.
-fn glob(pattern: &str, text: &str) -> bool {
-    let (pattern, text): (Vec<char>, Vec<char>) = (pattern.chars().collect(), text.chars().collect());
-    let (mut p, mut t) = (0, 0);
-    // Where the last `*` stands, and how much of the text it has taken.
-    let mut star: Option<(usize, usize)> = None;
-    while t < text.len() {
-        match pattern.get(p) {
-            Some('*') => {
-                star = Some((p, t));
-                p += 1;
-            }
-            Some(c) if *c == '?' || *c == text[t] => (p, t) = (p + 1, t + 1),
-            _ => match &mut star {
-                Some((at, taken)) => {
-                    *taken += 1;
-                    (p, t) = (*at + 1, *taken);
-                }
-                None => return false,
-            },
-        }
-    }
-    pattern[p..].iter().all(|c| *c == '*')
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn stars_and_question_marks_stand_for_characters() {
-        for (pattern, text, expected) in [
-            ("table22", "table22", true),
-            ("table*", "table22", true),
-            ("*", "", true),
-            ("*2", "table22", true),
-            ("t*b*2", "table22", true),
-            ("table?", "table22", false),
-            ("table??", "table22", true),
-            ("", "a", false),
-            ("a*b", "a", false),
-            ("*a*a*a*a*a*a*b", "aaaaaaaaaaaaaaaaaaaaaaaaaaaa", false),
-        ] {
-            assert_eq!(glob(pattern, text), expected, "{pattern} {text}");
-        }
-    }
 }

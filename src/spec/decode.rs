@@ -17,8 +17,9 @@ use super::problem::{Problem, Problems};
 use super::source::{Source, Span};
 use super::suggest;
 
-const TOP: [&str; 8] = ["name", "include", "seed", "params", "axes", "defaults", "stages", "profiles"];
-const STAGE: [&str; 10] =
+pub(super) const TOP: [&str; 8] =
+    ["name", "include", "seed", "params", "axes", "defaults", "stages", "profiles"];
+pub(super) const STAGE: [&str; 10] =
     ["kind", "about", "matrix", "when", "seed", "with", "inputs", "retries", "timeout", "memory"];
 
 /// A file by itself.
@@ -64,8 +65,11 @@ pub(super) fn spec(
         }
         layers.push(file.base);
         profiles.push(file.profiles);
+        // The names within one file differ already.
+        let before: HashMap<Arc<str>, Span> =
+            all.iter().map(|stage: &Stage| (stage.name.text.clone(), stage.name.span)).collect();
         for stage in file.stages {
-            add_stage(stage, &mut all, &mut problems);
+            add_stage(stage, &mut all, &before, &mut problems);
         }
     }
     let names = |of: fn(&Layer) -> &Entries| {
@@ -81,11 +85,11 @@ pub(super) fn spec(
     Spec { name, sources, problems, pipeline, base, files: layers, stages: all, profiles }
 }
 
-fn add_stage(stage: Stage, all: &mut Vec<Stage>, problems: &mut Problems) {
-    match all.iter().find(|other| other.name.text == stage.name.text) {
+fn add_stage(stage: Stage, all: &mut Vec<Stage>, before: &HashMap<Arc<str>, Span>, problems: &mut Problems) {
+    match before.get(&stage.name.text) {
         Some(other) => problems.add(|| {
             Problem::new(stage.name.span, format!("another file has a stage `{}` too", stage.name.text))
-                .related(other.name.span, "the other")
+                .related(*other, "the other")
                 .hint("rename one of the two; to change the other's parameters, use `defaults`, `params` or a profile")
         }),
         None => all.push(stage),

@@ -17,6 +17,7 @@ pub(crate) mod names;
 pub(crate) mod node;
 pub(crate) mod problem;
 mod scalar;
+mod schema;
 pub(crate) mod source;
 pub(crate) mod suggest;
 mod syntax;
@@ -25,6 +26,7 @@ pub(crate) mod yaml;
 pub use diagnostic::{Diagnostic, Diagnostics, Place};
 pub use limits::Limits;
 pub use model::Spec;
+pub use schema::schema;
 
 use node::Value;
 use problem::Problem;

@@ -168,12 +168,16 @@ impl Store {
         self.root.join("checkpoints-v1").join(key.hex())
     }
 
-    /// Removes a key's checkpoints.
+    /// Takes a key's checkpoints away: moves them into `folder`, which is private to the caller and in this store.
     ///
     /// # Errors
-    /// They are there and cannot be removed.
-    pub fn clear_checkpoints(&self, key: &Key) -> Result<(), StoreError> {
-        Ok(fsx::remove_dir_all(&self.checkpoints(key))?)
+    /// They are there and can be neither moved nor removed.
+    pub fn clear_checkpoints(&self, key: &Key, folder: &Path) -> Result<(), StoreError> {
+        let checkpoints = self.checkpoints(key);
+        match fsx::rename(&checkpoints, &folder.join("checkpoints")) {
+            Err(error) if !error.is_not_found() => Ok(fsx::remove_dir_all(&checkpoints)?),
+            _ => Ok(()),
+        }
     }
 
     /// Takes the lock on a key, the right to make its record; `None` while somebody else holds it. Needs a [`Run`],

@@ -2,6 +2,7 @@
 //! finished. The private folder of a run that died is removed by the next one.
 
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde_json::Value;
@@ -12,12 +13,17 @@ use crate::fsx::{self, Lock};
 /// Folders that a run needs; those for blobs and records are made as they fill.
 const FOLDERS: [&str; 3] = ["locks-v1", "checkpoints-v1", "tmp"];
 
+/// So many small folders are left for the end of the run, each of at most so many bytes in files.
+const LEFT: (usize, u64) = (2_000, 64 << 10);
+
 /// A run that is going on.
 #[derive(Debug)]
 pub struct Run {
     folder: PathBuf,
     temporary: PathBuf,
     lock: Option<Lock>,
+    /// Folders that were cleared and left.
+    left: AtomicUsize,
 }
 
 impl Store {
@@ -47,7 +53,7 @@ impl Store {
         drop(gate);
         // Made by taking it shared: whoever removes things has it alone, and waits for nobody who never took it.
         fsx::open_append(&self.root().join("gc.lock"))?;
-        Ok(Run { folder, temporary, lock })
+        Ok(Run { folder, temporary, lock, left: AtomicUsize::new(0) })
     }
 }
 
@@ -70,6 +76,19 @@ impl Run {
             .take(60)
             .collect();
         self.folder.join("logs").join(format!("{name}.log"))
+    }
+
+    /// Removes a folder in the private one that is needed no more: at once, or, where it is small, with the run. A file
+    /// system may step over every place that was lately freed when it makes a file (ext4 does, for some seconds), so
+    /// that ever more removals during a run would make every stage slower than the last one.
+    pub fn clear(&self, folder: &Path) {
+        let small = self.left.load(Ordering::Relaxed) < LEFT.0 && fsx::holds_at_most(folder, LEFT.1);
+        if small {
+            self.left.fetch_add(1, Ordering::Relaxed);
+        } else {
+            // Garbage that stays behind is removed with the run's folder.
+            let _ = fsx::remove_dir_all(folder);
+        }
     }
 
     /// Appends lines to the run's events.

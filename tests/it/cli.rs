@@ -292,3 +292,19 @@ fn a_reader_that_goes_away_is_no_error() {
         assert_eq!((ended.status.code(), &*errors), (Some(0), ""), "{args}");
     }
 }
+
+#[test]
+fn equal_stages_are_made_once_and_none_of_them_waits_for_its_own_engine() {
+    let sealed = Sealed::with(
+        "name: p\nstages:\n  a: { kind: emit, with: { text: x } }\n  b: { kind: emit, with: { text: x } }\n",
+    );
+    let events = sealed.events("--jobs 1");
+    let named = |name: &str| events.iter().filter(|event| event["event"] == name).count();
+    assert_eq!((named("ran"), named("cached"), named("waiting")), (1, 1, 0), "{events:?}");
+    let sealed = Sealed::with(&sealed.read("p.yaml"));
+    let said = sealed.run_ok("run p.yaml --jobs 1");
+    assert!(
+        said.contains("cached  b: the same work as a\n") || said.contains("cached  a: the same work as b\n"),
+        "{said}"
+    );
+}

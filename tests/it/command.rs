@@ -156,8 +156,8 @@ fn a_folder_goes_from_stage_to_stage_with_all_that_is_in_it() {
 
 #[test]
 fn a_checkpoint_outlives_a_failure_and_a_kill() {
-    let with = "{ shell: \"if test -e {checkpoints}/half; then cat {checkpoints}/half > a; else echo half > {checkpoints}/half; \
-                echo begun; sleep 60; fi\", outputs: { a: { type: table, path: a } } }";
+    let with = "{ shell: \"if test -e {checkpoints}/half; then cat {checkpoints}/half > a; else echo half > {checkpoints}/new; \
+                mv {checkpoints}/new {checkpoints}/half; sleep 60; fi\", outputs: { a: { type: table, path: a } } }";
     let sealed = one(with);
     let mut command = sealed.command("run p.yaml");
     let mut child =
@@ -189,6 +189,48 @@ fn a_killed_engine_takes_the_program_and_what_it_started_with_it() {
         pid = file.map(|file| sealed.read(&format!("cache/{file}")).trim().to_owned()).unwrap_or_default();
         !pid.is_empty()
     });
+    signal(&child, "KILL");
+    child.wait().unwrap();
+    let state = || std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
+    until("what the program started is gone", || state().is_empty() || state().contains(") Z "));
+}
+
+/// Processes of the program under test with this argument whose parent is `parent`.
+fn children_with(parent: u32, argument: &str) -> Vec<String> {
+    let ids =
+        std::fs::read_dir("/proc").unwrap().filter_map(|entry| entry.unwrap().file_name().into_string().ok());
+    let is_one = |id: &String| {
+        let read = |file: &str| std::fs::read_to_string(format!("/proc/{id}/{file}")).unwrap_or_default();
+        let stat = read("stat");
+        let above =
+            stat.rsplit_once(')').and_then(|(_, rest)| rest.split_whitespace().nth(1).map(str::to_owned));
+        above == Some(parent.to_string()) && read("cmdline").contains(argument)
+    };
+    ids.filter(|id| id.bytes().all(|byte| byte.is_ascii_digit())).filter(is_one).collect()
+}
+
+#[test]
+fn a_program_still_dies_with_its_engine_where_the_warden_was_killed_before() {
+    let sealed = one("{ shell: \"sleep 300 & echo $$! > {checkpoints}/pid; wait\", outputs: { a: a } }");
+    let mut command = sealed.command("run p.yaml");
+    command.env("PATH", "/usr/bin:/bin").stdout(Stdio::null()).stderr(Stdio::null());
+    let mut child = command.spawn().unwrap();
+    let mut pid = String::new();
+    until("the program runs", || {
+        let cache = sealed.path("cache");
+        let files = if cache.exists() { crate::lab::files_below(&cache) } else { Vec::new() };
+        let file = files.into_iter().find(|file| file.ends_with("files/pid"));
+        pid = file.map(|file| sealed.read(&format!("cache/{file}")).trim().to_owned()).unwrap_or_default();
+        !pid.is_empty()
+    });
+    let first = children_with(child.id(), "__warden");
+    assert_eq!(first.len(), 1, "{first:?}");
+    std::process::Command::new("kill").args(["-KILL", &first[0]]).status().unwrap();
+    until("there is another warden", || {
+        children_with(child.id(), "__warden").iter().any(|warden| !first.contains(warden))
+    });
+    // And is told what there is.
+    std::thread::sleep(std::time::Duration::from_millis(500));
     signal(&child, "KILL");
     child.wait().unwrap();
     let state = || std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();

@@ -1,7 +1,6 @@
 //! In which order stages run, how many at once, and what becomes of a run when a stage fails or the user stops it.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
@@ -288,7 +287,7 @@ fn a_missing_worker_is_told_before_anything_runs() {
     let lab = Lab::new();
     let stages = [emit("first", 1.0), StageLine::new("second", "elsewhere", json!({"text": "x"}))];
     let graph = scenario::graph(&stages);
-    let runner = ChildRunner { program: fakes_program(), args: vec!["__stage".into()] };
+    let runner = ChildRunner::new(fakes_program(), ["__stage".into()]);
     let mut told = Vec::new();
     let error = exec::execute(
         lab.plan(&graph),
@@ -306,7 +305,7 @@ fn a_missing_worker_is_told_before_anything_runs() {
 #[test]
 fn a_program_that_cannot_start_fails_its_stages_with_the_reason() {
     let lab = Lab::new();
-    let runner = ChildRunner { program: Path::new("/dev/null").into(), args: Vec::new() };
+    let runner = ChildRunner::new("/dev/null", []);
     let ran = lab.run_with(&[emit("a", 1.0)], &runner, &options(1), &AtomicBool::new(false));
     assert!(ran.error().starts_with("cannot start `/dev/null`: "), "{}", ran.error());
 }

@@ -117,10 +117,7 @@ impl Lab {
     pub fn children(&self) -> ChildRunner {
         let mut trace = OsString::from("DRIL_FAKES_TRACE=");
         trace.push(self.trace_file());
-        ChildRunner {
-            program: "/usr/bin/env".into(),
-            args: vec![trace, fakes_program().into(), "__stage".into()],
-        }
+        ChildRunner::new("/usr/bin/env", [trace, fakes_program().into(), "__stage".into()])
     }
 
     /// An engine in a process of its own that will run these stages.

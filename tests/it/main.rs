@@ -15,6 +15,7 @@ mod cli;
 mod cli_texts;
 mod command;
 mod crash;
+mod editors;
 mod ends;
 mod examples;
 mod exec_order;

@@ -65,7 +65,7 @@ stages:
     sealed.run_ok("run p.yaml");
     let ended = sealed.run("run p.yaml --set a.mishap=fail");
     assert_eq!(ended.code, 1);
-    let expected = "results: results/two-default (1 file)\n  of an earlier run, as their stages did not finish: first.md\n";
+    let expected = "results: results/two-default (1 file)\n  of an earlier run, as their stages were not asked for or did not finish: first.md\n";
     assert!(ended.stdout.contains(expected), "{}", ended.stdout);
     assert_eq!(sealed.list(FOLDER), [".dril-pipe.json", "first.md"]);
 }

@@ -78,6 +78,24 @@ fn every_pipeline_resolves_at_every_profile() {
 }
 
 #[test]
+fn the_schema_fits_every_pipeline() {
+    let schema = dril_pipe::spec::schema(&registry());
+    jsonschema::meta::validate(&schema).unwrap();
+    let schema = jsonschema::validator_for(&schema).unwrap();
+    for entry in std::fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines")).unwrap() {
+        let path = entry.unwrap().path();
+        if path.extension().is_none_or(|ending| ending != "yaml") {
+            continue;
+        }
+        let value: serde_json::Value =
+            serde_saphyr::from_str(&std::fs::read_to_string(&path).unwrap()).unwrap();
+        let errors: Vec<String> =
+            schema.iter_errors(&value).map(|error| format!("{}: {error}", error.instance_path())).collect();
+        assert!(errors.is_empty(), "{}: {errors:#?}", path.display());
+    }
+}
+
+#[test]
 fn the_annexs_experts_are_those_of_the_thesis() {
     let experts = |graph: &Graph| {
         let mut found: Vec<_> = graph

@@ -76,3 +76,22 @@ fn another_folder_or_environment_takes_the_long_way() {
     assert!(ended(command).stdout.contains(NOTHING));
     assert!(sealed.path("below/results/words-full/gather.md").is_file());
 }
+
+#[test]
+fn a_run_of_several_files_is_told_in_the_short_way_until_one_of_them_changes() {
+    let stage = "name: x\nstages:\n  a: { kind: emit, with: { text: one } }\n";
+    let sealed = Sealed::with("name: x\ninclude: parts/more.yaml\n");
+    sealed.write("parts/more.yaml", "include: a.yaml\n");
+    sealed.write("parts/a.yaml", stage);
+    sealed.run_ok("run p.yaml");
+    assert_eq!(sealed.list("cache/settled-v1").len(), 1);
+    let runs = || sealed.list("cache/runs-v1").len();
+    let before = runs();
+    // What the long way would stumble over, the short one does not see.
+    let history = sealed.path("cache/history-v1");
+    std::fs::remove_dir_all(&history).unwrap();
+    assert!(sealed.run_ok("run p.yaml").contains("nothing to do: 0 stages executed, all 1 cached"));
+    assert!(!history.join("x-default.jsonl").exists() && runs() == before);
+    sealed.write("parts/a.yaml", &stage.replace("one", "two"));
+    assert!(sealed.run_ok("run p.yaml").contains("done: 1 ran"));
+}

@@ -4,11 +4,12 @@ use clap::Args;
 
 use super::{PipelineArgs, StoreArgs};
 
+/// Stages of a pipeline and a store to look at.
 #[derive(Debug, Args)]
-pub(in crate::cli) struct ExplainArgs {
+pub(in crate::cli) struct LookArgs {
     #[command(flatten)]
     pub pipeline: PipelineArgs,
-    /// Stages: a name, an instance, or a pattern with `*` and `?`; without one, all that is not up to date
+    /// Stages: `table22`, `'table*'`, `'evaluate[policy=beta]'`
     #[arg(value_name = "STAGE")]
     pub stages: Vec<String>,
     #[command(flatten)]
@@ -19,39 +20,32 @@ pub(in crate::cli) struct ExplainArgs {
 }
 
 #[derive(Debug, Args)]
+#[command(after_help = "Without a STAGE, all that is not up to date is explained.")]
+pub(in crate::cli) struct ExplainArgs {
+    #[command(flatten)]
+    pub look: LookArgs,
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "Without a STAGE, all are shown.")]
 pub(in crate::cli) struct StatusArgs {
     #[command(flatten)]
-    pub pipeline: PipelineArgs,
-    /// Stages: a name, an instance, or a pattern with `*` and `?`; without one, all
-    #[arg(value_name = "STAGE")]
-    pub stages: Vec<String>,
-    #[command(flatten)]
-    pub store: StoreArgs,
+    pub look: LookArgs,
     /// One line for each stage instance
     #[arg(long, conflicts_with = "json")]
     pub all: bool,
-    /// Print as JSON
-    #[arg(long)]
-    pub json: bool,
 }
 
 #[derive(Debug, Args)]
+#[command(mut_arg("stages", |stages| stages.required(true)))]
 pub(in crate::cli) struct ShowArgs {
     #[command(flatten)]
-    pub pipeline: PipelineArgs,
-    /// Stages: a name, an instance, or a pattern with `*` and `?`
-    #[arg(value_name = "STAGE", required = true)]
-    pub stages: Vec<String>,
-    #[command(flatten)]
-    pub store: StoreArgs,
-    /// Print as JSON
-    #[arg(long)]
-    pub json: bool,
+    pub look: LookArgs,
 }
 
 #[derive(Debug, Args)]
 pub(in crate::cli) struct LogArgs {
-    /// Stages: a name, an instance, or a pattern with `*` and `?`
+    /// Stages: `table22`, `'table*'`, `'evaluate[policy=beta]'`
     #[arg(value_name = "STAGE", required = true)]
     pub stages: Vec<String>,
     /// The run, as `runs` lists it; without it, the latest that started the stage
@@ -93,7 +87,7 @@ pub(in crate::cli) struct DiffArgs {
     /// The later run
     #[arg(value_name = "RUN2", default_value = "last")]
     pub second: String,
-    /// Only these stages: a name, an instance, or a pattern with `*` and `?`
+    /// Only these stages: `table22`, `'table*'`, `'evaluate[policy=beta]'`; may be given several times
     #[arg(long = "stage", value_name = "STAGE")]
     pub stages: Vec<String>,
     #[command(flatten)]

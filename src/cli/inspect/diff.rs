@@ -28,7 +28,8 @@ pub(in crate::cli) fn main(args: &DiffArgs) -> Result<ExitCode, Error> {
     let first = store.past_run(&pick_run(&store, &args.first)?)?;
     let second = store.past_run(&pick_run(&store, &args.second)?)?;
     let ids: BTreeSet<&String> = first.stages.keys().chain(second.stages.keys()).collect();
-    let wanted = |id: &str| args.stages.is_empty() || args.stages.iter().any(|word| pick::names(word, id));
+    let patterns = pick::patterns(&args.stages)?;
+    let wanted = |id: &str| patterns.is_empty() || patterns.iter().any(|pattern| pattern.means_id(id));
     let mut pairs = Vec::new();
     let mut same = 0;
     for id in ids.into_iter().filter(|id| wanted(id)) {

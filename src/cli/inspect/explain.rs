@@ -20,19 +20,19 @@ const MOST_CAUSES: usize = 3;
 const MOST_REASONS: usize = 12;
 
 pub(in crate::cli) fn main(args: &ExplainArgs, registry: &Registry) -> Result<ExitCode, Error> {
-    let graph = pipeline::load(&args.pipeline, registry)?;
-    let store = pipeline::store(&args.store)?;
-    let picked = pick_stages(&graph, &args.stages)?;
-    let plan = plan::plan(&graph, &store, &pipeline::base(&args.pipeline))?;
+    let graph = pipeline::load(&args.look.pipeline, registry)?;
+    let store = pipeline::store(&args.look.store)?;
+    let picked = pick_stages(&graph, &args.look.stages)?;
+    let plan = plan::plan(&graph, &store, &pipeline::base(&args.look.pipeline))?;
     let is_told = |stage: &StageIndex| {
-        !args.stages.is_empty() || !matches!(plan.verdict(*stage), Some(Verdict::Cached { .. }))
+        !args.look.stages.is_empty() || !matches!(plan.verdict(*stage), Some(Verdict::Cached { .. }))
     };
     let mut told = Vec::new();
     for stage in picked.into_iter().filter(is_told) {
         told.push(plan::explain(&plan, &store, stage)?);
     }
     let teller = Teller { plan: &plan, store: &store, terminal: Terminal::stdout() };
-    if args.json {
+    if args.look.json {
         let all = told.iter().map(|explanation| teller.json(explanation)).collect::<Result<Vec<_>, _>>()?;
         print(&format!("{:#}\n", Value::Array(all)))?;
     } else if told.is_empty() {

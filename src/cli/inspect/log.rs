@@ -10,6 +10,7 @@ use super::super::terminal::{print, printable, shown};
 use super::{age, epoch, pick, pick_run};
 use crate::error::{Error, ErrorKind};
 use crate::fsx;
+use crate::resolve::Pattern;
 use crate::store::{Fate, PastRun, Store};
 
 /// Logs are printed up to so many lines unless more are asked for.
@@ -23,8 +24,8 @@ pub(in crate::cli) fn main(args: &LogArgs) -> Result<ExitCode, Error> {
     };
     let mut text = String::new();
     let mut all = Vec::new();
-    for word in &args.stages {
-        let (run, stages) = find(&store, word, given.as_deref())?;
+    for (word, pattern) in args.stages.iter().zip(pick::patterns(&args.stages)?) {
+        let (run, stages) = find(&store, word, &pattern, given.as_deref())?;
         for id in &stages {
             let Some(path) = run.log_of(id) else { continue };
             let lines = fsx::tail(&path, args.tail.unwrap_or(LINES))?;
@@ -66,7 +67,12 @@ fn page(run: &PastRun, id: &str, lines: &[String], titled: bool) -> String {
 }
 
 /// The latest run that started a stage of that name, and the stages.
-fn find(store: &Store, word: &str, given: Option<&str>) -> Result<(PastRun, Vec<String>), Error> {
+fn find(
+    store: &Store,
+    word: &str,
+    pattern: &Pattern<'_>,
+    given: Option<&str>,
+) -> Result<(PastRun, Vec<String>), Error> {
     let ids = match given {
         Some(id) => vec![id.to_owned()],
         None => store.run_ids()?,
@@ -74,7 +80,7 @@ fn find(store: &Store, word: &str, given: Option<&str>) -> Result<(PastRun, Vec<
     for id in ids {
         let run = store.past_run(&id)?;
         let started = |fate: Fate| matches!(fate, Fate::Ran | Fate::Failed | Fate::Started | Fate::Stopped);
-        let stages = run.stages.iter().filter(|(id, stage)| started(stage.fate) && pick::names(word, id));
+        let stages = run.stages.iter().filter(|(id, stage)| started(stage.fate) && pattern.means_id(id));
         let stages: Vec<String> = stages.map(|(id, _)| id.clone()).collect();
         if !stages.is_empty() {
             return Ok((run, stages));

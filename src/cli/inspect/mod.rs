@@ -12,7 +12,7 @@ use std::time::{Duration, SystemTime};
 
 use super::terminal::duration;
 
-pub(super) use pick::{pick_run, pick_stages};
+pub(super) use pick::{no_stage, pick_run, pick_stages};
 
 /// How long ago something was: `3 h 12 min ago`. A clock that was set back makes nothing negative.
 pub(super) fn age(time: SystemTime) -> String {

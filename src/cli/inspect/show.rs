@@ -21,12 +21,12 @@ const LONGEST_VALUE: usize = 100;
 const MOST_ROOTS: usize = 60;
 
 pub(in crate::cli) fn main(args: &ShowArgs, registry: &Registry) -> Result<ExitCode, Error> {
-    let graph = pipeline::load(&args.pipeline, registry)?;
-    let store = pipeline::store(&args.store)?;
-    let picked = pick_stages(&graph, &args.stages)?;
-    let plan = plan::plan(&graph, &store, &pipeline::base(&args.pipeline))?;
+    let graph = pipeline::load(&args.look.pipeline, registry)?;
+    let store = pipeline::store(&args.look.store)?;
+    let picked = pick_stages(&graph, &args.look.stages)?;
+    let plan = plan::plan(&graph, &store, &pipeline::base(&args.look.pipeline))?;
     let viewer = Viewer { plan: &plan, store: &store, terminal: Terminal::stdout() };
-    if args.json {
+    if args.look.json {
         let all = picked.iter().map(|stage| viewer.json(*stage)).collect::<Result<Vec<_>, _>>()?;
         print(&format!("{:#}\n", Value::Array(all)))?;
     } else {

@@ -21,17 +21,17 @@ use crate::store::{Fate, Key, PastRun, Store};
 const RUNS: usize = 20;
 
 pub(in crate::cli) fn main(args: &StatusArgs, registry: &Registry) -> Result<ExitCode, Error> {
-    let graph = pipeline::load(&args.pipeline, registry)?;
-    let store = pipeline::store(&args.store)?;
-    let picked = pick_stages(&graph, &args.stages)?;
-    let plan = plan::plan(&graph, &store, &pipeline::base(&args.pipeline))?;
+    let graph = pipeline::load(&args.look.pipeline, registry)?;
+    let store = pipeline::store(&args.look.store)?;
+    let picked = pick_stages(&graph, &args.look.stages)?;
+    let plan = plan::plan(&graph, &store, &pipeline::base(&args.look.pipeline))?;
     let estimates = Estimates::of(&plan, &store)?;
     let past = Past::of(&plan, &store)?;
     let mut lines = Vec::new();
     for stage in picked {
         lines.push(line(&plan, &store, &estimates, &past, stage)?);
     }
-    if args.json {
+    if args.look.json {
         let all: Vec<Value> = lines.iter().map(|line| line.json(&plan)).collect();
         print(&format!("{:#}\n", Value::Array(all)))?;
     } else {

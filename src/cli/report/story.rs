@@ -1,5 +1,6 @@
 //! A run told in lines for people: what both the plain and the moving output print.
 
+use std::collections::HashMap;
 use std::path::Path;
 
 use super::{Ending, Left};
@@ -11,6 +12,7 @@ use crate::cli::terminal::{
 use crate::exec::{Event, Outcome};
 use crate::plan::{Plan, Verdict};
 use crate::resolve::{Graph, StageIndex};
+use crate::store::Key;
 
 /// At most so many stages are named as skipped.
 const MOST_SKIPPED: usize = 8;
@@ -43,6 +45,8 @@ pub(super) struct Story<'g> {
     done: usize,
     /// Cached from the start, by node index: not worth a line.
     known: Vec<bool>,
+    /// What was started, by its key: other stages may be the same work.
+    started: HashMap<Key, StageIndex>,
     failed: Vec<StageIndex>,
     skipped: Vec<StageIndex>,
 }
@@ -56,6 +60,7 @@ impl<'g> Story<'g> {
             total,
             done: 0,
             known: vec![false; total],
+            started: HashMap::new(),
             failed: Vec::new(),
             skipped: Vec::new(),
         }
@@ -91,10 +96,16 @@ impl<'g> Story<'g> {
     /// The line of an event, if it has one.
     pub fn event(&mut self, event: &Event) -> Option<Line> {
         match event {
-            Event::Cached { stage, .. } => {
+            Event::StageStarted { stage, key, .. } => {
+                self.started.insert(*key, *stage);
+                None
+            }
+            Event::Cached { stage, key } => {
                 self.done += 1;
                 let known = self.known.get(stage.index()).copied().unwrap_or_default();
-                (!known).then(|| self.line(Style::Quiet, "cached", *stage, ""))
+                let twin = self.started.get(key).and_then(|twin| self.graph.stages.node_weight(*twin));
+                let more = twin.map(|twin| format!(": the same work as {}", twin.id)).unwrap_or_default();
+                (!known).then(|| self.line(Style::Quiet, "cached", *stage, &more))
             }
             Event::StageFinished { stage, took } => {
                 self.done += 1;
@@ -128,10 +139,7 @@ impl<'g> Story<'g> {
                 };
                 Some(Line::Out(self.terminal.paint(Style::Notable, text)))
             }
-            Event::Started { .. }
-            | Event::StageStarted { .. }
-            | Event::Progressed { .. }
-            | Event::Finished { .. } => None,
+            Event::Started { .. } | Event::Progressed { .. } | Event::Finished { .. } => None,
         }
     }
 
@@ -158,7 +166,9 @@ impl<'g> Story<'g> {
             text += &format!("\nresults: {folder} ({})", count(published.files, "file"));
             if !published.earlier.is_empty() {
                 let names = published.earlier.join(", ");
-                text += &format!("\n  of an earlier run, as their stages did not finish: {names}");
+                text += &format!(
+                    "\n  of an earlier run, as their stages were not asked for or did not finish: {names}"
+                );
             }
             if !published.removed.is_empty() {
                 text +=

@@ -19,6 +19,7 @@ impl Dispatcher<'_, '_> {
         twins: &[StageIndex],
     ) -> Result<(), StoreError> {
         self.committing += 1;
+        self.underway.insert(key, Arc::clone(&outputs));
         self.state[stage.index()] = State::Done;
         self.done[stage.index()] = Some(Arc::clone(&outputs));
         self.wake_readers(stage)?;
@@ -52,6 +53,9 @@ impl Dispatcher<'_, '_> {
         committed: Result<Duration, String>,
     ) -> Result<(), StoreError> {
         self.committing -= 1;
+        if let Some(key) = &self.keys[stage.index()] {
+            self.underway.remove(key);
+        }
         match committed {
             Ok(took) => {
                 self.outcome.ran += 1;

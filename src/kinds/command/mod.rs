@@ -10,7 +10,10 @@ mod template;
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use dril_stage_api::{Arity, Artifact, Ctx, Describe, Input, Ports, Problems, Stage, StageError, port_name};
+use dril_stage_api::{
+    Arity, Artifact, Ctx, Describe, Input, Job, Ports, Prepared, Problems, Program, Stage, StageError,
+    port_name,
+};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -132,6 +135,12 @@ impl Stage for Command {
 
     fn run(params: &CommandParams, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
         run::run(params, ctx)
+    }
+}
+
+impl Program for Command {
+    fn prepare(params: &CommandParams, job: &Job) -> Result<Prepared, StageError> {
+        run::prepare(params, job)
     }
 }
 

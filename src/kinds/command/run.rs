@@ -1,13 +1,12 @@
 //! What a command does when it runs: its inputs are laid out, the program is started, its outputs are collected.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsString;
 use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command as Process, ExitStatus, Stdio};
-use std::time::Duration;
 
-use dril_stage_api::{Arity, Artifact, Ctx, StageError};
+use dril_stage_api::{Arity, Artifact, Ctx, Job, JobOutput, Prepared, StageError};
 use serde_json::json;
 
 use super::template::{self, Piece};
@@ -15,16 +14,9 @@ use super::{Command, CommandParams};
 use crate::fsx::{self, Entry};
 use dril_stage_api::Describe;
 
-/// Variables that every command sees beside its own: none of them is to change a result.
-const ALWAYS: [&str; 7] = [
-    "PATH",
-    "HOME",
-    "OMP_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "RAYON_NUM_THREADS",
-    "VECLIB_MAXIMUM_THREADS",
-];
+/// Variables that every command sees beside its own and the engine's, which cap the threads of libraries: none of them is
+/// to change a result.
+const ALWAYS: [&str; 2] = ["PATH", "HOME"];
 
 /// The same for everybody, so that the order of `sort` and the words of a date do not depend on who runs it.
 const FIXED: [(&str, &str); 2] = [("LC_ALL", "C.UTF-8"), ("TZ", "UTC")];
@@ -34,24 +26,30 @@ const CHECKPOINTS: &str = "checkpoints";
 /// The list of inputs with their labels.
 const INPUTS: &str = "inputs.json";
 
-/// How long to wait for the news that we were asked to stop, once the program died of a signal.
-const LATE: Duration = Duration::from_millis(200);
-
-/// Runs the command of `params`.
+/// Runs the command of `params` from this process.
 pub(super) fn run(params: &CommandParams, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
-    let work = ctx.scratch().to_owned();
-    let inputs = lay_out(params, ctx, &work)?;
-    let texts = Texts { params, inputs: &inputs.paths, seed: ctx.seed().0 };
+    let mut prepared = prepare(params, ctx.job())?;
+    let started = prepared.process.stdin(Stdio::null()).status();
+    let status = started.map_err(|error| prepared.not_started(&error))?;
+    let finished = (prepared.finish)(status);
+    if ctx.cancelled() && !status.success() { Err(StageError::Cancelled) } else { finished }
+}
+
+/// Lays out the inputs of a command and says how to start it.
+pub(super) fn prepare(params: &CommandParams, job: &Job) -> Result<Prepared, StageError> {
+    let work = job.scratch.clone();
+    let inputs = lay_out(params, job, &work)?;
+    let texts = Texts { params, inputs: &inputs.paths, seed: job.seed.0 };
     let mut process = texts.process()?;
-    process.current_dir(&work).stdin(Stdio::null()).env_clear();
+    process.current_dir(&work).env_clear();
     process.envs(environment(params, &texts, &work)?);
     let before = inputs.sizes();
-    let status = process.status().map_err(|error| not_started(&process, &error))?;
-    inputs.check_unchanged(&before)?;
-    if !status.success() {
-        return Err(ended(params, &process, status, ctx));
-    }
-    collect(params, ctx, &work)
+    let (params, outputs, line) = (params.clone(), job.outputs.clone(), shown(&process));
+    let finish = move |status: ExitStatus| {
+        inputs.check_unchanged(&before)?;
+        if status.success() { collect(&params, &outputs, &work) } else { Err(ended(&params, &line, status)) }
+    };
+    Ok(Prepared { process, finish: Box::new(finish) })
 }
 
 /// The inputs in the working folder.
@@ -63,8 +61,9 @@ struct Laid {
 }
 
 /// Makes the working folder, with a link for each artifact.
-fn lay_out(params: &CommandParams, ctx: &Ctx<'_>, work: &Path) -> Result<Laid, StageError> {
-    fsx::create_dir_all(&work.join("outputs")).map_err(StageError::failed)?;
+fn lay_out(params: &CommandParams, job: &Job, work: &Path) -> Result<Laid, StageError> {
+    let mut folders = Folders { work, made: BTreeSet::new() };
+    folders.make(Path::new("outputs"))?;
     let ports = Command::ports(params);
     let mut laid = Laid { paths: BTreeMap::new(), files: Vec::new() };
     let mut list = serde_json::Map::new();
@@ -72,11 +71,11 @@ fn lay_out(params: &CommandParams, ctx: &Ctx<'_>, work: &Path) -> Result<Laid, S
         let path = params.input_path(input.name);
         let mut paths = Vec::new();
         let mut entries = Vec::new();
-        for (number, item) in ctx.inputs(input.name).into_iter().enumerate() {
+        for (number, item) in job.inputs.get(input.name).into_iter().flatten().enumerate() {
             let path = if input.arity == Arity::Many { format!("{path}/{number}") } else { path.clone() };
-            link(item.path, &work.join(&path))?;
+            folders.link(&item.path, &path)?;
             entries.push(json!({ "path": path, "labels": item.labels }));
-            laid.files.push((path.clone(), item.path.to_owned()));
+            laid.files.push((path.clone(), item.path.clone()));
             paths.push(path);
         }
         list.insert(input.name.to_owned(), entries.into());
@@ -87,19 +86,37 @@ fn lay_out(params: &CommandParams, ctx: &Ctx<'_>, work: &Path) -> Result<Laid, S
         fsx::write(&work.join(INPUTS), text.as_bytes()).map_err(StageError::failed)?;
     }
     for name in params.outputs.keys() {
-        if let Some(folder) = work.join(params.output_path(name)).parent() {
-            fsx::create_dir_all(folder).map_err(StageError::failed)?;
-        }
+        folders.above(&params.output_path(name))?;
     }
-    link(ctx.checkpoints(), &work.join(CHECKPOINTS))?;
+    fsx::create_dir_all(&job.checkpoints).map_err(StageError::failed)?;
+    folders.link(&job.checkpoints, CHECKPOINTS)?;
     Ok(laid)
 }
 
-fn link(to: &Path, at: &Path) -> Result<(), StageError> {
-    if let Some(folder) = at.parent() {
-        fsx::create_dir_all(folder).map_err(StageError::failed)?;
+/// The folders in the working folder, each made once.
+struct Folders<'a> {
+    work: &'a Path,
+    made: BTreeSet<PathBuf>,
+}
+
+impl Folders<'_> {
+    fn make(&mut self, folder: &Path) -> Result<(), StageError> {
+        if !self.made.contains(folder) {
+            fsx::create_dir_all(&self.work.join(folder)).map_err(StageError::failed)?;
+            self.made.extend(folder.ancestors().map(Path::to_owned));
+        }
+        Ok(())
     }
-    fsx::symlink(to, at).map_err(StageError::failed)
+
+    /// What the file at `path` lies in.
+    fn above(&mut self, path: &str) -> Result<(), StageError> {
+        Path::new(path).parent().map_or(Ok(()), |folder| self.make(folder))
+    }
+
+    fn link(&mut self, to: &Path, at: &str) -> Result<(), StageError> {
+        self.above(at)?;
+        fsx::symlink(to, &self.work.join(at)).map_err(StageError::failed)
+    }
 }
 
 impl Laid {
@@ -201,33 +218,9 @@ fn environment(
     Ok(all)
 }
 
-fn not_started(process: &Process, error: &std::io::Error) -> StageError {
-    let program = process.get_program().to_string_lossy();
-    let mend = match error.kind() {
-        std::io::ErrorKind::NotFound => {
-            "is it installed, and on the PATH? a script is an input, run by its interpreter"
-        }
-        std::io::ErrorKind::PermissionDenied => {
-            "inputs are no programs: run a script by its interpreter, as in `[python3, \"{inputs.script}\"]`"
-        }
-        _ => "give a program that this system can run",
-    };
-    StageError::failed(format!("cannot start `{program}`: {error}; {mend}"))
-}
-
-/// Why there is no result: the program was asked to stop, or failed.
-fn ended(params: &CommandParams, process: &Process, status: ExitStatus, ctx: &Ctx<'_>) -> StageError {
-    if status.signal().is_some_and(|signal| signal == 15 || signal == 2) && !ctx.cancelled() {
-        // The signal goes to all of the group; ours may still be on its way.
-        std::thread::sleep(LATE);
-    }
-    if ctx.cancelled() {
-        return StageError::Cancelled;
-    }
-    let what = match &params.shell {
-        Some(_) => "the shell".to_owned(),
-        None => shown(process),
-    };
+/// Why there is no result: the program failed.
+fn ended(params: &CommandParams, line: &str, status: ExitStatus) -> StageError {
+    let what = if params.shell.is_some() { "the shell" } else { line };
     let how = match (status.code(), status.signal()) {
         (Some(127), _) if params.shell.is_some() => "exit code 127: a program in it was not found".to_owned(),
         (Some(code), _) => format!("exit code {code}"),
@@ -250,7 +243,11 @@ fn shown(process: &Process) -> String {
 }
 
 /// Moves what the program wrote to where the engine takes it from.
-fn collect(params: &CommandParams, ctx: &Ctx<'_>, work: &Path) -> Result<(), StageError> {
+fn collect(
+    params: &CommandParams,
+    outputs: &BTreeMap<String, JobOutput>,
+    work: &Path,
+) -> Result<(), StageError> {
     let mut wrong = Vec::new();
     for (name, output) in &params.outputs {
         let path = params.output_path(name);
@@ -265,7 +262,12 @@ fn collect(params: &CommandParams, ctx: &Ctx<'_>, work: &Path) -> Result<(), Sta
         };
         match seen {
             Some(seen) => wrong.push(format!("output `{name}` {seen}, expected a {expected} at `{path}`")),
-            None => fsx::rename(&work.join(&path), ctx.output(name)?).map_err(StageError::failed)?,
+            None => match outputs.get(name) {
+                Some(output) => {
+                    fsx::rename(&work.join(&path), &output.path).map_err(StageError::failed)?;
+                }
+                None => wrong.push(format!("output `{name}` has no place")),
+            },
         }
     }
     let mut left = Vec::new();

@@ -34,6 +34,11 @@ impl<'a> Ctx<'a> {
         Self { job, cancel, messages, said: None, checkpointed: Instant::now() }
     }
 
+    /// All that the stage was started with.
+    pub fn job(&self) -> &'a Job {
+        self.job
+    }
+
     /// The stage's seed.
     pub fn seed(&self) -> Seed {
         self.job.seed

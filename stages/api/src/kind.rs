@@ -3,7 +3,7 @@
 use serde_json::Value;
 
 use crate::params;
-use crate::{Ctx, Describe, Needs, ParamProblem, Ports, Problems, Stage, StageError};
+use crate::{Ctx, Describe, Job, Needs, ParamProblem, Ports, Prepared, Problems, Program, Stage, StageError};
 
 /// A stage kind as the engine sees it: names, and functions over parameters as JSON values.
 #[derive(Clone, Copy)]
@@ -16,9 +16,23 @@ pub struct Kind {
     seeded_by: fn(&Value) -> Result<bool, Vec<ParamProblem>>,
     schema: fn() -> schemars::Schema,
     normalize: fn(&Value) -> Result<Value, Vec<ParamProblem>>,
+    look: fn(&Value) -> Result<Look, Vec<ParamProblem>>,
     ports: fn(&Value) -> Result<Ports, Vec<ParamProblem>>,
     needs: fn(&Value) -> Result<Needs, Vec<ParamProblem>>,
     run: Run,
+}
+
+/// All that a kind says of a stage with certain parameters.
+#[derive(Clone, Debug)]
+pub struct Look {
+    /// See [`Kind::normalize`].
+    pub params: Value,
+    /// See [`Kind::ports`].
+    pub ports: Ports,
+    /// See [`Kind::needs`].
+    pub needs: Needs,
+    /// See [`Kind::seeded_by`].
+    pub seeded: bool,
 }
 
 /// Where a kind's work is done.
@@ -26,6 +40,11 @@ pub struct Kind {
 enum Run {
     Here(fn(&Value, &mut Ctx<'_>) -> Result<(), StageError>),
     In(&'static str),
+    /// By another program; the first function does all of it from this process.
+    Outside(
+        fn(&Value, &mut Ctx<'_>) -> Result<(), StageError>,
+        fn(&Value, &Job) -> Result<Prepared, StageError>,
+    ),
 }
 
 impl std::fmt::Debug for Kind {
@@ -48,6 +67,11 @@ impl Kind {
         Self::new::<D>(Run::In(worker))
     }
 
+    /// The erased form of `P`, whose work is another program's.
+    pub const fn of_program<P: Program>() -> Self {
+        Self::new::<P::Kind>(Run::Outside(run::<P>, prepare::<P>))
+    }
+
     const fn new<D: Describe>(run: Run) -> Self {
         Self {
             name: D::KIND,
@@ -58,6 +82,7 @@ impl Kind {
             seeded_by: seeded_by::<D>,
             schema: schema_of::<D>,
             normalize: normalize::<D>,
+            look: look::<D>,
             ports: ports::<D>,
             needs: needs::<D>,
             run,
@@ -67,7 +92,7 @@ impl Kind {
     /// The executable, beside this one, that runs the kind; `None` where this one does.
     pub fn worker(&self) -> Option<&'static str> {
         match self.run {
-            Run::Here(_) => None,
+            Run::Here(_) | Run::Outside(..) => None,
             Run::In(worker) => Some(worker),
         }
     }
@@ -118,6 +143,15 @@ impl Kind {
         (self.normalize)(params)
     }
 
+    /// As [`Kind::normalize`], and all else that the kind says of such a stage, for the price of reading the parameters
+    /// once.
+    ///
+    /// # Errors
+    /// As [`Kind::normalize`].
+    pub fn look(&self, params: &Value) -> Result<Look, Vec<ParamProblem>> {
+        (self.look)(params)
+    }
+
     /// The inputs and outputs under these parameters.
     ///
     /// # Errors
@@ -134,16 +168,32 @@ impl Kind {
         (self.needs)(params)
     }
 
+    /// The program that does the work of a job, ready to start; `None` where the kind does its work itself.
+    ///
+    /// # Errors
+    /// See [`Program::prepare`].
+    pub fn prepare(&self, job: &Job) -> Option<Result<Prepared, StageError>> {
+        match self.run {
+            Run::Outside(_, prepare) => Some(prepare(&job.params, job)),
+            Run::Here(_) | Run::In(_) => None,
+        }
+    }
+
     /// Runs a stage with these parameters.
     ///
     /// # Errors
     /// The stage's own; parameters that do not fit are [`StageError::Params`]; a kind of another executable fails.
     pub fn run(&self, params: &Value, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
         match self.run {
-            Run::Here(run) => run(params, ctx),
+            Run::Here(run) | Run::Outside(run, _) => run(params, ctx),
             Run::In(worker) => Err(StageError::failed(format!("kind `{}` is run by `{worker}`", self.name))),
         }
     }
+}
+
+fn prepare<P: Program>(value: &Value, job: &Job) -> Result<Prepared, StageError> {
+    let params = read::<P::Kind>(value).map_err(StageError::params)?;
+    P::prepare(&params, job)
 }
 
 fn schema_of<D: Describe>() -> schemars::Schema {
@@ -155,14 +205,26 @@ fn read<D: Describe>(value: &Value) -> Result<D::Params, Vec<ParamProblem>> {
 }
 
 fn normalize<D: Describe>(value: &Value) -> Result<Value, Vec<ParamProblem>> {
+    checked::<D>(&read::<D>(value)?)
+}
+
+fn look<D: Describe>(value: &Value) -> Result<Look, Vec<ParamProblem>> {
     let params = read::<D>(value)?;
+    // What a kind says of its ports may rely on what it has checked.
+    let full = checked::<D>(&params)?;
+    let (ports, needs, seeded) = (D::ports(&params), D::needs(&params), D::seeded(&params));
+    Ok(Look { params: full, ports, needs, seeded })
+}
+
+/// The parameters in full, written back.
+fn checked<D: Describe>(params: &D::Params) -> Result<Value, Vec<ParamProblem>> {
     let mut problems = Problems::default();
-    D::check(&params, &mut problems);
+    D::check(params, &mut problems);
     let found = problems.into_vec();
     if !found.is_empty() {
         return Err(found);
     }
-    serde_json::to_value(&params).map_err(|error| {
+    serde_json::to_value(params).map_err(|error| {
         vec![ParamProblem {
             path: Vec::new(),
             message: format!("cannot be written back: {error}"),

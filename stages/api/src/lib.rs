@@ -1,7 +1,7 @@
 //! The contract between the engine and a stage: what an author of a stage writes, and what the engine hands to it.
 //!
-//! - [`Describe`] says what a stage kind looks like, [`Stage`] what it does; [`Kind`] is their erased form, [`Registry`]
-//!   the set that a program offers.
+//! - [`Describe`] says what a stage kind looks like, [`Stage`] what it does, [`Program`] which program does it instead;
+//!   [`Kind`] is their erased form, [`Registry`] the set that a program offers.
 //! - [`Ports`] declare typed inputs and outputs ([`Artifact`]); [`Needs`] what the stage takes of the machine.
 //! - [`Ctx`] is all that a running stage sees: seed, inputs, outputs, progress, checkpoint folder, cancellation.
 //! - [`Job`] is the same as a file, as the engine writes it for the child process that runs the stage.
@@ -30,7 +30,7 @@ pub use artifact::Artifact;
 pub use ctx::{Ctx, InputItem};
 pub use error::StageError;
 pub use job::{Job, JobInput, JobOutput, Labels};
-pub use kind::Kind;
+pub use kind::{Kind, Look};
 pub use needs::Needs;
 pub use params::{ParamProblem, Problems};
 pub use ports::{Arity, Input, Output, Outside, Ports, port_name};
@@ -38,4 +38,4 @@ pub use progress::{Message, Progress};
 pub use registry::{Registry, RegistryError};
 pub use reply::Reply;
 pub use seed::{Seed, StreamRng};
-pub use stage::{Describe, Stage};
+pub use stage::{Describe, Finish, Prepared, Program, Stage};

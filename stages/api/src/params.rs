@@ -71,6 +71,10 @@ pub(crate) fn read<P>(value: &Value) -> Result<P, Vec<ParamProblem>>
 where
     P: DeserializeOwned,
 {
+    // Following where in the value it is costs several times as much as reading it, and few values are wrong.
+    if let Ok(params) = P::deserialize(value) {
+        return Ok(params);
+    }
     let mut rest = value.clone();
     let mut found: Vec<ParamProblem> = Vec::new();
     loop {

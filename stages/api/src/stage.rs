@@ -4,10 +4,12 @@
 //! the learning kinds (package `dril-kinds`) and starts another executable to run them: merely loading libtorch costs a
 //! quarter of a second and 120 MB, which every `plan`, every cached `run` and every table would pay otherwise.
 
+use std::process::{Command, ExitStatus};
+
 use schemars::JsonSchema;
 use serde::{Serialize, de::DeserializeOwned};
 
-use crate::{Ctx, Needs, Ports, Problems, StageError};
+use crate::{Ctx, Job, Needs, Ports, Problems, StageError};
 
 /// What a stage kind looks like from outside: name, parameters, ports.
 pub trait Describe: 'static {
@@ -64,4 +66,49 @@ pub trait Stage: 'static {
     /// # Errors
     /// [`StageError::Cancelled`] after a clean stop at `ctx.cancelled()`; any other error is the stage's failure.
     fn run(params: &<Self::Kind as Describe>::Params, ctx: &mut Ctx<'_>) -> Result<(), StageError>;
+}
+
+/// A stage kind whose work is another program's: the engine starts that program itself, with no process of ours in
+/// between, and sees to it that it dies with the engine.
+pub trait Program: Stage {
+    /// Lays out what the program needs, and says how to start it.
+    ///
+    /// # Errors
+    /// There is nothing to start.
+    fn prepare(params: &<Self::Kind as Describe>::Params, job: &Job) -> Result<Prepared, StageError>;
+}
+
+/// A program that is ready to start.
+pub struct Prepared {
+    /// The program: arguments, environment and folder. Its standard streams, its process group and the variables that
+    /// cap the threads of libraries are the engine's to set.
+    pub process: Command,
+    /// Called once it has ended, and all that it started with it: puts the outputs in their places, or says what failed.
+    pub finish: Finish,
+}
+
+/// See [`Prepared::finish`].
+pub type Finish = Box<dyn FnOnce(ExitStatus) -> Result<(), StageError> + Send>;
+
+impl Prepared {
+    /// Why it could not be started, and what to do.
+    pub fn not_started(&self, error: &std::io::Error) -> StageError {
+        let program = self.process.get_program().to_string_lossy();
+        let mend = match error.kind() {
+            std::io::ErrorKind::NotFound => {
+                "is it installed, and on the PATH? a script is an input, run by its interpreter"
+            }
+            std::io::ErrorKind::PermissionDenied => {
+                "inputs are no programs: run a script by its interpreter, as in `[python3, \"{inputs.script}\"]`"
+            }
+            _ => "give a program that this system can run",
+        };
+        StageError::failed(format!("cannot start `{program}`: {error}; {mend}"))
+    }
+}
+
+impl std::fmt::Debug for Prepared {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Prepared").field("process", &self.process).finish_non_exhaustive()
+    }
 }

@@ -1,0 +1,71 @@
+//! What shells and `man` are told of the command line: made from its definition, so that they cannot lag behind.
+
+use std::io;
+
+use clap::{Args, Command, ValueEnum};
+use clap_complete::Shell;
+
+use crate::cli::Extra;
+
+#[derive(Debug, Args)]
+pub(in crate::cli) struct CompletionsArgs {
+    /// The shell
+    #[arg(value_enum)]
+    pub shell: ShellName,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(in crate::cli) enum ShellName {
+    Bash,
+    Elvish,
+    Fish,
+    #[value(name = "powershell")]
+    PowerShell,
+    Zsh,
+}
+
+impl From<ShellName> for Shell {
+    fn from(name: ShellName) -> Self {
+        match name {
+            ShellName::Bash => Self::Bash,
+            ShellName::Elvish => Self::Elvish,
+            ShellName::Fish => Self::Fish,
+            ShellName::PowerShell => Self::PowerShell,
+            ShellName::Zsh => Self::Zsh,
+        }
+    }
+}
+
+#[derive(Debug, Args)]
+pub(in crate::cli) struct ManArgs {
+    /// Write the pages of all commands into this folder; without it, the page of the program is printed
+    #[arg(short, long, value_name = "DIR")]
+    pub out: Option<std::path::PathBuf>,
+}
+
+/// A script that completes this command line in a shell.
+pub(in crate::cli) fn completions(shell: ShellName, extras: &[Extra]) -> Vec<u8> {
+    let mut script = Vec::new();
+    clap_complete::generate(Shell::from(shell), &mut super::command(extras, false), "dril-pipe", &mut script);
+    script
+}
+
+/// The manual: file name and text of each page, that of the program first.
+///
+/// # Errors
+/// A page cannot be rendered.
+pub(in crate::cli) fn pages(extras: &[Extra]) -> io::Result<Vec<(String, Vec<u8>)>> {
+    let mut command = super::command(extras, false).disable_help_subcommand(true);
+    command.build();
+    let mut all = Vec::new();
+    page(&command, &mut all)?;
+    Ok(all)
+}
+
+fn page(command: &Command, all: &mut Vec<(String, Vec<u8>)>) -> io::Result<()> {
+    let man = clap_mangen::Man::new(command.clone());
+    let mut text = Vec::new();
+    man.render(&mut text)?;
+    all.push((man.get_filename(), text));
+    command.get_subcommands().filter(|below| !below.is_hide_set()).try_for_each(|below| page(below, all))
+}

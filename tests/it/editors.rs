@@ -1,0 +1,114 @@
+//! What editors, shells and `man` are told: the schema fits every pipeline that resolves and refuses what is wrong by its
+//! shape, completions and pages know every command.
+
+use std::path::{Path, PathBuf};
+
+use jsonschema::Validator;
+use serde_json::Value;
+
+use crate::sealed::{Sealed, ended};
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// The schema as the program prints it.
+fn schema(kinds: &str) -> Validator {
+    let mut command = Sealed::new().command("schema");
+    command.current_dir(root()).env("DRIL_FAKES_KINDS", kinds);
+    let printed = ended(command);
+    assert_eq!(printed.code, 0, "{printed:?}");
+    let schema: Value = serde_json::from_str(&printed.stdout).unwrap();
+    jsonschema::meta::validate(&schema).unwrap();
+    jsonschema::validator_for(&schema).unwrap()
+}
+
+/// A file as JSON; `None` where YAML itself refuses it.
+fn read(path: &Path) -> Option<Value> {
+    serde_saphyr::from_str(&String::from_utf8(std::fs::read(path).ok()?).ok()?).ok()
+}
+
+fn yaml_below(folder: &str) -> Vec<PathBuf> {
+    let mut found: Vec<PathBuf> = Vec::new();
+    let mut open = vec![root().join(folder)];
+    while let Some(folder) = open.pop() {
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            match path.extension() {
+                _ if path.is_dir() => open.push(path),
+                Some(ending) if ending == "yaml" => found.push(path),
+                _ => {}
+            }
+        }
+    }
+    found.sort();
+    found
+}
+
+#[test]
+fn the_schema_fits_the_examples() {
+    let schema = schema("samples");
+    let files = yaml_below("pipelines/examples");
+    assert!(files.len() >= 3);
+    for file in files {
+        let value = read(&file).unwrap_or_else(|| panic!("{}", file.display()));
+        let errors: Vec<String> =
+            schema.iter_errors(&value).map(|error| format!("{}: {error}", error.instance_path())).collect();
+        assert!(errors.is_empty(), "{}: {errors:#?}", file.display());
+    }
+}
+
+/// What is wrong by its shape alone. The rest of `tests/bad` needs the whole file: names, wiring, ranges.
+const WRONG_BY_SHAPE: [&str; 23] = [
+    "a_list",
+    "a_text",
+    "bad_name",
+    "bad_seed",
+    "bad_stage_name",
+    "command_with_slips",
+    "empty_kind",
+    "input_is_a_number",
+    "misspelt_field",
+    "misspelt_nested_field",
+    "misspelt_stage_key",
+    "misspelt_top_key",
+    "misspelt_value",
+    "no_kind",
+    "no_stages",
+    "reserved_stage_name",
+    "several_at_once",
+    "stage_as_text",
+    "stages_as_list",
+    "unknown_kind",
+    "unknown_kind_in_defaults",
+    "with_as_list",
+    "wrong_type",
+];
+
+#[test]
+fn the_schema_refuses_what_is_wrong_by_its_shape() {
+    let schema = schema("samples");
+    let accepted: Vec<&str> = WRONG_BY_SHAPE
+        .into_iter()
+        .filter(|name| {
+            read(&root().join(format!("tests/bad/{name}.yaml"))).is_some_and(|file| schema.is_valid(&file))
+        })
+        .collect();
+    assert!(accepted.is_empty(), "{accepted:?}");
+}
+
+#[test]
+fn completions_and_pages_know_every_command() {
+    let sealed = Sealed::new();
+    for shell in ["bash", "elvish", "fish", "powershell", "zsh"] {
+        let script = sealed.run_ok(&format!("completions {shell}"));
+        assert!(script.contains("check-determinism") && script.contains("explain"), "{shell}");
+    }
+    assert!(sealed.run_ok("man").contains(".TH dril-pipe 1"));
+    sealed.run_ok("man --out pages");
+    let pages = sealed.list("pages");
+    for page in ["dril-pipe.1", "dril-pipe-run.1", "dril-pipe-cache-gc.1"] {
+        assert!(pages.iter().any(|name| name == page), "{page}: {pages:?}");
+    }
+    assert!(sealed.read("pages/dril-pipe-run.1").contains("check\\-determinism"));
+}
