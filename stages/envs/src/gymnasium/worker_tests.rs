@@ -159,3 +159,28 @@ fn wait_for<T>(mut look: impl FnMut() -> Option<T>) -> T {
         std::thread::sleep(Duration::from_millis(50));
     }
 }
+
+#[test]
+fn a_signal_to_stop_leaves_the_worker_to_the_stage_that_saves_its_state() {
+    let mut worker = Command::new("python3")
+        .args(["-c", include_str!("worker.py")])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    // The mask of ignored signals, where signal n is bit n - 1.
+    let ignored = || {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", worker.id())).unwrap();
+        let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:")).unwrap().trim();
+        u64::from_str_radix(mask, 16).unwrap()
+    };
+    let stops = [2, 15].iter().fold(0, |mask, signal| mask | 1_u64 << (signal - 1));
+    let deadline = Instant::now() + Duration::from_secs(60);
+    while ignored() & stops != stops {
+        assert!(Instant::now() < deadline, "it would die of a signal");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    drop(worker.stdin.take());
+    worker.wait().unwrap();
+}
