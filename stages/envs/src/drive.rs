@@ -58,7 +58,7 @@ const MOST_NOISE: f64 = 2.0;
 
 impl Describe for Drive {
     const KIND: &'static str = "drive";
-    const REVISION: u32 = 1;
+    const REVISION: u32 = 2;
     const ABOUT: &'static str = "records laps of CarRacing's scripted driver that score above a threshold";
     type Params = DriveParams;
 
