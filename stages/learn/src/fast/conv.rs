@@ -315,3 +315,28 @@ pub fn read_panels(shape: &Shape, panels: &[f32], mut put: impl FnMut(usize, usi
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_height_and_width_of_a_block_gives_the_same_bits() {
+        let shape = Shape { height: 6, width: 7, channels: 16, filters: 32, kernel: 2, stride: 1 };
+        let numbers = |len: usize| -> Vec<f32> { (0..len).map(|at| (at as f32 * 0.37).sin()).collect() };
+        let (input, weights) = (numbers(2 * shape.input_len()), numbers(shape.weights_len()));
+        let (bias, gradient) = (numbers(shape.filters), numbers(2 * shape.output_len()));
+        let (mut widest, mut plain) = (gradient.clone(), gradient.clone());
+        forward(&shape, &input, &weights, &bias, &mut widest);
+        forward_in::<5>(&shape, &input, &weights, &bias, &mut plain);
+        assert_eq!(widest, plain);
+        let (mut widest, mut plain) = (weights.clone(), weights.clone());
+        add_weight_gradient(&shape, &input, &gradient, &mut widest);
+        weight_gradient_in::<5>(&shape, &input, &gradient, &mut plain);
+        assert_eq!(widest, plain);
+        let (mut widest, mut plain) = (input.clone(), input.clone());
+        input_gradient(&shape, &gradient, &weights, &mut widest);
+        input_gradient_in::<5>(&shape, &gradient, &weights, &mut plain);
+        assert_eq!(widest, plain);
+    }
+}

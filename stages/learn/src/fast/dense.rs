@@ -184,3 +184,30 @@ fn combine<const ROWS: usize>(
         *lanes_mut(&mut output[(row + r) * inputs + at..]) = *sums;
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_height_and_width_of_a_block_gives_the_same_bits() {
+        let shape = Shape { inputs: 37, outputs: 19 };
+        let numbers = |len: usize| -> Vec<f32> { (0..len).map(|at| (at as f32 * 0.37).sin()).collect() };
+        let (input, weights) = (numbers(13 * 37), numbers(37 * 19));
+        let (bias, gradient) = (numbers(19), numbers(13 * 19));
+        let mut turned = vec![0.0; shape.panels_len()];
+        panels(shape, &weights, &mut turned);
+        let (mut widest, mut plain) = (gradient.clone(), gradient.clone());
+        forward(shape, &input, &turned, &bias, &mut widest);
+        forward_in::<5>(shape, &input, &turned, &bias, &mut plain);
+        assert_eq!(widest, plain);
+        let (mut widest, mut plain) = (weights.clone(), weights.clone());
+        weight_gradient(shape, &input, &gradient, &mut widest);
+        weight_gradient_in::<5>(shape, &input, &gradient, &mut plain);
+        assert_eq!(widest, plain);
+        let (mut widest, mut plain) = (input.clone(), input.clone());
+        input_gradient(shape, &gradient, &weights, &mut widest);
+        input_gradient_in::<5>(shape, &gradient, &weights, &mut plain);
+        assert_eq!(widest, plain);
+    }
+}
