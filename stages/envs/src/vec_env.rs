@@ -57,6 +57,9 @@ pub struct VecEnvSlotSnapshot {
     pub score_bits: u64,
     /// Steps so far.
     pub length: usize,
+    /// Where the running episode is cut; see [`VecEnv::stagger`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cut_after: Option<usize>,
 }
 
 struct Slot {
@@ -64,6 +67,8 @@ struct Slot {
     seed: u64,
     score: f64,
     length: usize,
+    /// Only in the first episode.
+    cut_after: Option<usize>,
 }
 
 impl VecEnv {
@@ -94,8 +99,10 @@ impl VecEnv {
         spaces: (ObservationSpace, ActionSpace),
         threads: usize,
     ) -> Result<Self, EnvError> {
-        let slots: Vec<Slot> =
-            envs.into_iter().map(|env| Slot { env, seed: 0, score: 0.0, length: 0 }).collect();
+        let slots: Vec<Slot> = envs
+            .into_iter()
+            .map(|env| Slot { env, seed: 0, score: 0.0, length: 0, cut_after: None })
+            .collect();
         let steps = vec![VecStep { reward: 0.0, outcome: Outcome::Running, finished: None }; slots.len()];
         let threads = threads.min(slots.len());
         let pool = (threads > 1).then(|| rayon::ThreadPoolBuilder::new().num_threads(threads).build());
@@ -117,6 +124,16 @@ impl VecEnv {
     /// What [`VecEnv::frame`] gives and [`VecEnv::step`] takes, per environment.
     pub fn spaces(&self) -> &(ObservationSpace, ActionSpace) {
         &self.spaces
+    }
+
+    /// Lets the first episodes end one after the other: that of environment i of n, counted from 1, is cut after i/n of
+    /// `steps` steps (at least 1), as by a time limit. Without it, episodes of one length begin and end together for
+    /// ever. To be called before [`VecEnv::reset_all`].
+    pub fn stagger(&mut self, steps: usize) {
+        let count = self.slots.len();
+        for (index, slot) in self.slots.iter_mut().enumerate() {
+            slot.cut_after = Some((steps * (index + 1) / count).max(1));
+        }
     }
 
     /// Starts a new episode everywhere; `seeds` is asked in the order of the environments.
@@ -179,6 +196,7 @@ impl VecEnv {
             env: slot.env.snapshot(),
             score_bits: slot.score.to_bits(),
             length: slot.length,
+            cut_after: slot.cut_after,
         };
         VecEnvSnapshot { envs: self.slots.iter().map(slot).collect() }
     }
@@ -231,13 +249,17 @@ impl Slot {
         self.score += step.reward;
         self.length += 1;
         into.reward = step.reward;
-        into.outcome = step.outcome;
-        into.finished = step.outcome.ended().then(|| FinishedEpisode {
+        let cut = step.outcome == Outcome::Running && self.cut_after == Some(self.length);
+        into.outcome = if cut { Outcome::TimeLimit } else { step.outcome };
+        into.finished = into.outcome.ended().then(|| FinishedEpisode {
             seed: self.seed,
             score: self.score,
             length: self.length,
             last_frame: self.env.frame().to_owned(),
         });
+        if into.outcome.ended() {
+            self.cut_after = None;
+        }
         Ok(())
     }
 
@@ -246,6 +268,7 @@ impl Slot {
         self.seed = snapshot.env.seed.unwrap_or(0);
         self.score = f64::from_bits(snapshot.score_bits);
         self.length = snapshot.length;
+        self.cut_after = snapshot.cut_after;
         Ok(())
     }
 }

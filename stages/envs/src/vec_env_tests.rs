@@ -67,11 +67,28 @@ fn an_ended_episode_is_reported_whole_and_the_next_one_begins() {
     assert_eq!(envs.seed(1), 78);
 }
 
+#[test]
+fn staggered_first_episodes_end_one_after_the_other_and_later_ones_at_the_limit() {
+    let mut envs = VecEnv::new(&config(6), 3, 1).unwrap();
+    envs.stagger(6);
+    envs.reset_all(|i| i as u64).unwrap();
+    let seen = play(&mut envs, 14, &mut 100);
+    let ends = |env: usize| -> Vec<(usize, usize)> {
+        let steps = seen.iter().skip(env).step_by(3).enumerate();
+        steps.filter_map(|(at, (step, _))| Some((at + 1, step.finished.as_ref()?.length))).collect()
+    };
+    assert_eq!(ends(0), [(2, 2), (8, 6), (14, 6)]);
+    assert_eq!(ends(1), [(4, 4), (10, 6)]);
+    assert_eq!(ends(2), [(6, 6), (12, 6)]);
+    assert!(seen.iter().all(|(step, _)| !step.outcome.ended() || step.outcome == Outcome::TimeLimit));
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(4))]
     #[test]
     fn a_restored_snapshot_continues_as_if_nothing_had_happened(before in 0usize..12, after in 1usize..8) {
         let mut envs = VecEnv::new(&config(6), 3, 1).unwrap();
+        envs.stagger(5);
         envs.reset_all(|i| 40 + i as u64).unwrap();
         let mut next = 1000;
         play(&mut envs, before, &mut next);

@@ -42,6 +42,12 @@ pub struct PpoParams {
     /// Steps of each environment between updates.
     #[serde(default = "default::int::<500>")]
     pub rollout_steps: u64,
+    /// Lets the first episodes end one after the other: that of environment i of n is cut after i/n of so many steps, as
+    /// by the time limit. At 0, as in the reference code, episodes of one length begin and end together: with a limit of
+    /// 1,000 steps and rollouts of 500, every second rollout has only second halves of episodes in it.
+    #[serde(default, skip_serializing_if = "default::is")]
+    #[schemars(extend("default" = 0))]
+    pub stagger: u64,
     /// Passes over each rollout. The annex's table says 10; the code that made its agents has 4.
     #[serde(default = "default::int::<4>")]
     pub epochs: u64,

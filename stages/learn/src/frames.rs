@@ -114,13 +114,14 @@ impl FrameStore {
         self.numbers.copy_within(from * numbers..(last + 1) * numbers, to * numbers);
     }
 
-    /// The observations whose newest frames lie in `slots`, as a network takes them: [slots, height/4, width/4, stack·16]
-    /// in 0..=255 for frames in blocks, [slots, len] for vectors.
+    /// The observations whose newest frames lie in `slots`, as a network takes them: bytes [slots, height/4, width/4,
+    /// stack·16] for frames in blocks, numbers [slots, len] for vectors.
     pub fn gather(&self, slots: &[usize]) -> Tensor {
         self.gather_for(slots, Precision::Fp32)
     }
 
-    /// The same in the numbers that a network computes with; 16 bits hold bytes exactly. Vectors keep 32 bits.
+    /// The same for a network that computes with such numbers: for 16 bits, frames are widened, since libtorch computes
+    /// then; 16 bits hold bytes exactly. Vectors keep 32 bits.
     pub fn gather_for(&self, slots: &[usize], precision: Precision) -> Tensor {
         match self.observation {
             Observation::Images { height, width, stack } => {
@@ -130,8 +131,8 @@ impl FrameStore {
                 let len = stack * height * width;
                 match precision {
                     Precision::Fp32 => {
-                        let mut batch = Tensor::empty(shape, (Kind::Float, Device::Cpu));
-                        self.gather_stacks(slots, len, memory::values_mut(&mut batch), layout::widen);
+                        let mut batch = Tensor::empty(shape, (Kind::Uint8, Device::Cpu));
+                        self.gather_stacks(slots, len, memory::bytes_mut(&mut batch), layout::spread);
                         batch
                     }
                     Precision::Bf16 => {
@@ -172,13 +173,14 @@ impl FrameStore {
         Ok(())
     }
 
-    /// Stacks of `len` numbers one after the other; within a stack, block by block the frames from the oldest on.
+    /// Stacks of `len` numbers one after the other; within a stack, block by block the frames from the oldest on. `put`
+    /// writes the blocks of a frame that far apart.
     fn gather_stacks<N: Copy + Default>(
         &self,
         slots: &[usize],
         len: usize,
         numbers: &mut [N],
-        widen: impl Fn(&[u8], &mut [N], usize),
+        put: impl Fn(&[u8], &mut [N], usize),
     ) {
         let (size, stack) = (self.frame_bytes(), self.observation.stack());
         let stride = stack * layout::BLOCK_LEN;
@@ -189,7 +191,7 @@ impl FrameStore {
                 if back > usize::from(self.ages[slot]) {
                     plane.chunks_mut(stride).for_each(|block| block[..layout::BLOCK_LEN].fill(N::default()));
                 } else {
-                    widen(&self.bytes[(slot - back) * size..][..size], plane, stride);
+                    put(&self.bytes[(slot - back) * size..][..size], plane, stride);
                 }
             }
         }
@@ -232,10 +234,7 @@ mod tests {
         let batch = store.gather(&[slot]);
         assert_eq!(batch.size(), [1, 1, 2, 48]);
         let planes = batch.view([1, 2, 3, 4, 4]).permute([2, 0, 3, 1, 4]).contiguous().view([3, 32]);
-        memory::values(&planes)
-            .chunks(32)
-            .map(|plane| plane.iter().map(|&value| value as u8).collect())
-            .collect()
+        memory::bytes(&planes).chunks(32).map(<[u8]>::to_vec).collect()
     }
 
     #[test]
@@ -276,7 +275,7 @@ mod tests {
         });
         let (long, short) = (store.gather(&[2, 0]), store.gather_for(&[2, 0], Precision::Bf16));
         assert_eq!(short.kind(), Kind::BFloat16);
-        assert_eq!(short.to_kind(Kind::Float), long);
+        assert_eq!(short.to_kind(Kind::Uint8), long);
     }
 
     #[test]

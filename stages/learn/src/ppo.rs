@@ -30,7 +30,10 @@ impl Stage for PpoStage {
         let architecture =
             spaces::architecture(&params.env, params.policy, params.network, Network::ExpertCnn)?;
         let policy = beginner(params, architecture, ctx)?;
-        let envs = VecEnv::new(&params.env, params.envs as usize, 1).map_err(StageError::failed)?;
+        let mut envs = VecEnv::new(&params.env, params.envs as usize, 1).map_err(StageError::failed)?;
+        if params.stagger > 0 {
+            envs.stagger(params.stagger as usize);
+        }
         let (policy, log) = train(params, policy, envs, ctx)?;
         ctx.write_output("policy", policy.to_bytes()?)?;
         ctx.write_output("log", log.to_csv()?)

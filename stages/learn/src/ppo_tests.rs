@@ -210,6 +210,20 @@ fn the_stage_trains_on_pictures_and_its_agent_can_be_read() {
 }
 
 #[test]
+fn staggered_first_episodes_spread_the_ends_and_a_stop_does_not_disturb_that() {
+    let params = json!({
+        "env": { "car-racing": { "time_limit": 8 } }, "policy": "beta", "envs": 2, "rollout_steps": 4,
+        "total_steps": 32, "epochs": 1, "minibatches": 2, "stagger": 8
+    });
+    let bench = Bench::new::<PpoStage>(&params, 1).unwrap();
+    let made = outputs(&bench, &OUTPUTS);
+    assert_eq!(cells(&made[1], "episodes"), [1.0, 2.0, 3.0, 4.0], "all end together without it: 0, 2, 2, 4");
+    let stopped = Bench::new::<PpoStage>(&params, 1).unwrap();
+    stop_often(&stopped, 7);
+    assert_eq!(outputs(&stopped, &OUTPUTS), made);
+}
+
+#[test]
 fn a_training_goes_on_where_another_stage_ended_it_with_the_learning_rate_of_the_whole() {
     let leg = |from: u64, to: u64| {
         let mut params = tiny("beta", 60);

@@ -7,7 +7,8 @@
 
 use std::array::from_fn;
 
-use super::vector::{LANES, Lanes, add_scaled, lanes, lanes_mut, widest};
+use super::layout;
+use super::vector::{LANES, Lanes, add_scaled, in_blocks, lanes, lanes_mut, widest};
 
 /// A convolution without padding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -88,6 +89,17 @@ widest! {
     pub fn forward(shape: &Shape, input: &[f32], weights: &[f32], bias: &[f32], output: &mut [f32]) = forward_in
 }
 
+/// As [`forward`], for pictures of bytes, which are widened one by one: the numbers of a whole minibatch would not stay in
+/// a near cache until they are needed.
+pub fn forward_bytes(shape: &Shape, input: &[u8], weights: &[f32], bias: &[f32], output: &mut [f32]) {
+    let mut numbers = vec![0.0; shape.input_len()];
+    let pictures = input.chunks_exact(shape.input_len()).zip(output.chunks_exact_mut(shape.output_len()));
+    for (picture, output) in pictures {
+        layout::widen(picture, &mut numbers);
+        forward(shape, &numbers, weights, bias, output);
+    }
+}
+
 #[inline(always)]
 fn forward_in<const ROWS: usize>(
     shape: &Shape,
@@ -97,28 +109,36 @@ fn forward_in<const ROWS: usize>(
     output: &mut [f32],
 ) {
     let (windows, filters) = (shape.windows(), shape.filters);
-    let (positions, size) = (windows.len(), shape.input_len());
-    let start = |row: usize| row / positions * size + windows[row % positions];
     for (chunk, output) in output.chunks_mut(CHUNK * filters).enumerate() {
         let first = chunk * CHUNK;
         let rows = output.len() / filters;
         for (panel, weights) in weights.chunks_exact(shape.depth() * LANES).enumerate() {
             let at = panel * LANES;
             let bias = lanes(&bias[at..]);
-            let mut row = 0;
-            while row + ROWS <= rows {
-                let starts = from_fn(|r| start(first + row + r));
-                let sums = window_sums::<ROWS>(shape, input, starts, weights, bias);
-                for (r, sums) in sums.iter().enumerate() {
-                    put_rectified(&mut output[(row + r) * filters + at..], sums);
-                }
-                row += ROWS;
-            }
-            for row in row..rows {
-                let [sums] = window_sums(shape, input, [start(first + row)], weights, bias);
-                put_rectified(&mut output[row * filters + at..], &sums);
-            }
+            let windows = (&windows[..], first);
+            let layer = (weights, bias);
+            in_blocks!(ROWS, rows, |row| forward_rows(shape, windows, input, layer, (row, at), output));
         }
+    }
+}
+
+/// Rows `row..row + ROWS` of a chunk whose first output pixel is `first`, for the panel of the filters from `at` on.
+#[inline(always)]
+fn forward_rows<const ROWS: usize>(
+    shape: &Shape,
+    (windows, first): (&[usize], usize),
+    input: &[f32],
+    (weights, bias): (&[f32], &Lanes),
+    (row, at): (usize, usize),
+    output: &mut [f32],
+) {
+    let starts = from_fn(|r| {
+        let pixel = first + row + r;
+        pixel / windows.len() * shape.input_len() + windows[pixel % windows.len()]
+    });
+    let sums = window_sums::<ROWS>(shape, input, starts, weights, bias);
+    for (r, sums) in sums.iter().enumerate() {
+        put_rectified(&mut output[(row + r) * shape.filters + at..], sums);
     }
 }
 
@@ -156,6 +176,16 @@ widest! {
     pub fn add_weight_gradient(shape: &Shape, input: &[f32], gradient: &[f32], sums: &mut [f32]) = weight_gradient_in
 }
 
+/// As [`add_weight_gradient`], for pictures of bytes; see [`forward_bytes`].
+pub fn add_weight_gradient_bytes(shape: &Shape, input: &[u8], gradient: &[f32], sums: &mut [f32]) {
+    let mut numbers = vec![0.0; shape.input_len()];
+    let pictures = input.chunks_exact(shape.input_len()).zip(gradient.chunks_exact(shape.output_len()));
+    for (picture, gradient) in pictures {
+        layout::widen(picture, &mut numbers);
+        add_weight_gradient(shape, &numbers, gradient, sums);
+    }
+}
+
 #[inline(always)]
 fn weight_gradient_in<const ROWS: usize>(shape: &Shape, input: &[f32], gradient: &[f32], sums: &mut [f32]) {
     let windows = shape.windows();
@@ -182,18 +212,7 @@ fn add_panel<const ROWS: usize>(
     let run = shape.run();
     for (ky, sums) in sums.chunks_exact_mut(run * LANES).enumerate() {
         let input = &input[ky * shape.line()..];
-        let mut k = 0;
-        while k + ROWS <= run {
-            add_products::<ROWS>(windows, &input[k..], gradient, &mut sums[k * LANES..]);
-            k += ROWS;
-        }
-        while k + 4 <= run {
-            add_products::<4>(windows, &input[k..], gradient, &mut sums[k * LANES..]);
-            k += 4;
-        }
-        for k in k..run {
-            add_products::<1>(windows, &input[k..], gradient, &mut sums[k * LANES..]);
-        }
+        in_blocks!(ROWS, run, |k| add_products(windows, &input[k..], gradient, &mut sums[k * LANES..]));
     }
 }
 
@@ -243,31 +262,26 @@ fn input_gradient_in<const ROWS: usize>(
         output.fill(0.0);
         for (panel, weights) in transposed.chunks_exact(filters * LANES).enumerate() {
             let at = panel / panels_in_run * shape.line() + panel % panels_in_run * LANES;
-            let mut position = 0;
-            while position + ROWS <= windows.len() {
-                let gradient = &gradient[position * filters..];
-                let starts = from_fn(|r| windows[position + r] + at);
-                scatter::<ROWS>(gradient, filters, weights, output, starts);
-                position += ROWS;
-            }
-            for position in position..windows.len() {
-                let gradient = &gradient[position * filters..];
-                scatter::<1>(gradient, filters, weights, output, [windows[position] + at]);
-            }
+            in_blocks!(ROWS, windows.len(), |first| scatter(
+                &gradient[first * filters..],
+                weights,
+                output,
+                (&windows[first..], at),
+            ));
         }
     }
 }
 
-/// Adds what `ROWS` output pixels give back to `LANES` numbers of each of their windows. Windows overlap, so they are
+/// Adds what `ROWS` output pixels give back to the `LANES` numbers from `at` on of their windows. Windows overlap, so they are
 /// added one after the other.
 #[inline(always)]
 fn scatter<const ROWS: usize>(
     gradient: &[f32],
-    filters: usize,
     weights: &[f32],
     output: &mut [f32],
-    starts: [usize; ROWS],
+    (windows, at): (&[usize], usize),
 ) {
+    let filters = weights.len() / LANES;
     let rows: [&[f32]; ROWS] = from_fn(|r| &gradient[r * filters..][..filters]);
     let mut sums = [[0.0; LANES]; ROWS];
     for filter in 0..filters {
@@ -276,8 +290,8 @@ fn scatter<const ROWS: usize>(
             add_scaled(&mut sums[r], rows[r][filter], weights);
         }
     }
-    for (start, sums) in starts.into_iter().zip(&sums) {
-        let output = lanes_mut(&mut output[start..]);
+    for (window, sums) in windows.iter().zip(&sums) {
+        let output = lanes_mut(&mut output[window + at..]);
         *output = from_fn(|lane| output[lane] + sums[lane]);
     }
 }
@@ -338,5 +352,22 @@ mod tests {
         input_gradient(&shape, &gradient, &weights, &mut widest);
         input_gradient_in::<5>(&shape, &gradient, &weights, &mut plain);
         assert_eq!(widest, plain);
+    }
+    #[test]
+    fn pictures_of_bytes_give_the_bits_of_the_same_numbers() {
+        let shape = Shape { height: 6, width: 7, channels: 16, filters: 32, kernel: 2, stride: 1 };
+        let bytes: Vec<u8> = (0..3 * shape.input_len()).map(|at| (at * at % 251) as u8).collect();
+        let input: Vec<f32> = bytes.iter().map(|byte| f32::from(*byte)).collect();
+        let numbers = |len: usize| -> Vec<f32> { (0..len).map(|at| (at as f32 * 0.37).sin()).collect() };
+        let (weights, bias) = (numbers(shape.weights_len()), numbers(shape.filters));
+        let gradient = numbers(3 * shape.output_len());
+        let (mut of_bytes, mut of_numbers) = (gradient.clone(), gradient.clone());
+        forward_bytes(&shape, &bytes, &weights, &bias, &mut of_bytes);
+        forward(&shape, &input, &weights, &bias, &mut of_numbers);
+        assert_eq!(of_bytes, of_numbers);
+        let (mut of_bytes, mut of_numbers) = (weights.clone(), weights);
+        add_weight_gradient_bytes(&shape, &bytes, &gradient, &mut of_bytes);
+        add_weight_gradient(&shape, &input, &gradient, &mut of_numbers);
+        assert_eq!(of_bytes, of_numbers);
     }
 }

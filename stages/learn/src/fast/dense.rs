@@ -5,7 +5,7 @@
 
 use std::array::from_fn;
 
-use super::vector::{LANES, Lanes, add_scaled, lanes, lanes_mut, widest};
+use super::vector::{LANES, Lanes, add_scaled, in_blocks, lanes, lanes_mut, widest};
 
 /// How many inputs and outputs a layer has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,16 +23,29 @@ impl Shape {
     }
 }
 
-/// Weights as [`forward`] takes them: [outputs / LANES, inputs, LANES], the last panel filled up with zeros.
-pub fn panels(Shape { inputs, outputs }: Shape, weights: &[f32], panels: &mut [f32]) {
+widest! {
+    /// Weights as [`forward`] takes them: [outputs / LANES, inputs, LANES], the last panel filled up with zeros.
+    pub fn panels(shape: Shape, weights: &[f32], panels: &mut [f32]) = panels_in
+}
+
+/// Squares of `LANES` × `LANES` numbers, which fit the nearest cache, are turned one after the other.
+#[inline(always)]
+fn panels_in<const ROWS: usize>(Shape { inputs, outputs }: Shape, weights: &[f32], panels: &mut [f32]) {
+    let whole = inputs / LANES * LANES;
     for (first, panel) in panels.chunks_exact_mut(inputs * LANES).enumerate() {
-        let first = first * LANES;
-        for lane in 0..LANES {
-            let column = panel[lane..].iter_mut().step_by(LANES);
-            match first + lane < outputs {
-                true => column.zip(&weights[(first + lane) * inputs..]).for_each(|(to, from)| *to = *from),
-                false => column.for_each(|to| *to = 0.0),
+        let weights = &weights[first * LANES * inputs..];
+        let rows = LANES.min(outputs - first * LANES);
+        for at in (0..whole).step_by(LANES) {
+            let mut square = [[0.0; LANES]; LANES];
+            for (row, numbers) in square[..rows].iter_mut().enumerate() {
+                *numbers = *lanes(&weights[row * inputs + at..]);
             }
+            for (lane, turned) in panel[at * LANES..].chunks_exact_mut(LANES).take(LANES).enumerate() {
+                *lanes_mut(turned) = from_fn(|row| square[row][lane]);
+            }
+        }
+        for (at, turned) in panel.chunks_exact_mut(LANES).enumerate().skip(whole) {
+            *lanes_mut(turned) = from_fn(|row| if row < rows { weights[row * inputs + at] } else { 0.0 });
         }
     }
 }
@@ -54,21 +67,26 @@ fn forward_in<const ROWS: usize>(
     let rows = input.len() / inputs;
     for (first, panel) in panels.chunks_exact(inputs * LANES).enumerate() {
         let first = first * LANES;
-        let used = LANES.min(outputs - first);
+        let bias = &bias[first..outputs.min(first + LANES)];
         let mut start = [0.0; LANES];
-        start[..used].copy_from_slice(&bias[first..][..used]);
-        let mut row = 0;
-        while row + ROWS <= rows {
-            let sums = row_sums::<ROWS>(inputs, &input[row * inputs..], panel, &start);
-            for (r, sums) in sums.iter().enumerate() {
-                output[(row + r) * outputs + first..][..used].copy_from_slice(&sums[..used]);
-            }
-            row += ROWS;
-        }
-        for row in row..rows {
-            let [sums] = row_sums(inputs, &input[row * inputs..], panel, &start);
-            output[row * outputs + first..][..used].copy_from_slice(&sums[..used]);
-        }
+        start[..bias.len()].copy_from_slice(bias);
+        in_blocks!(ROWS, rows, |row| forward_rows(shape, input, (panel, &start), (row, first), output));
+    }
+}
+
+/// Rows `row..row + ROWS`, for the panel of the outputs from `first` on.
+#[inline(always)]
+fn forward_rows<const ROWS: usize>(
+    Shape { inputs, outputs }: Shape,
+    input: &[f32],
+    (panel, start): (&[f32], &Lanes),
+    (row, first): (usize, usize),
+    output: &mut [f32],
+) {
+    let used = LANES.min(outputs - first);
+    let sums = row_sums::<ROWS>(inputs, &input[row * inputs..], panel, start);
+    for (r, sums) in sums.iter().enumerate() {
+        output[(row + r) * outputs + first..][..used].copy_from_slice(&sums[..used]);
     }
 }
 
@@ -95,14 +113,7 @@ fn weight_gradient_in<const ROWS: usize>(shape: Shape, input: &[f32], gradient: 
     let Shape { inputs, outputs } = shape;
     let whole = inputs / LANES * LANES;
     for at in (0..whole).step_by(LANES) {
-        let mut output = 0;
-        while output + ROWS <= outputs {
-            products::<ROWS>(shape, input, gradient, (at, output), sums);
-            output += ROWS;
-        }
-        for output in output..outputs {
-            products::<1>(shape, input, gradient, (at, output), sums);
-        }
+        in_blocks!(ROWS, outputs, |output| products(shape, input, gradient, (at, output), sums));
     }
     for output in 0..outputs {
         for at in whole..inputs {
@@ -145,14 +156,7 @@ fn input_gradient_in<const ROWS: usize>(shape: Shape, gradient: &[f32], weights:
     let rows = output.len() / inputs;
     let whole = inputs / LANES * LANES;
     for at in (0..whole).step_by(LANES) {
-        let mut row = 0;
-        while row + ROWS <= rows {
-            combine::<ROWS>(shape, gradient, weights, (at, row), output);
-            row += ROWS;
-        }
-        for row in row..rows {
-            combine::<1>(shape, gradient, weights, (at, row), output);
-        }
+        in_blocks!(ROWS, rows, |row| combine(shape, gradient, weights, (at, row), output));
     }
     for row in 0..rows {
         for at in whole..inputs {

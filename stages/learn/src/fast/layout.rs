@@ -38,21 +38,26 @@ pub fn block_kernel(kernel: &Tensor) -> Tensor {
 pub const BLOCK_LEN: usize = BLOCK * BLOCK;
 
 widest! {
-    /// The bytes of a frame in blocks as numbers, 0..=255: each block where the last one stood and `stride` further.
-    pub fn widen(bytes: &[u8], numbers: &mut [f32], stride: usize) = widen_in
+    /// Bytes as numbers, 0..=255.
+    pub fn widen(bytes: &[u8], numbers: &mut [f32]) = widen_in
 }
 
 #[inline(always)]
-fn widen_in<const ROWS: usize>(bytes: &[u8], numbers: &mut [f32], stride: usize) {
-    for (block, numbers) in bytes.chunks_exact(BLOCK_LEN).zip(numbers.chunks_mut(stride)) {
-        for (number, byte) in numbers[..BLOCK_LEN].iter_mut().zip(block) {
-            *number = f32::from(*byte);
-        }
+fn widen_in<const ROWS: usize>(bytes: &[u8], numbers: &mut [f32]) {
+    for (number, byte) in numbers.iter_mut().zip(bytes) {
+        *number = f32::from(*byte);
+    }
+}
+
+/// The bytes of a frame in blocks: each block `stride` after the one before it.
+pub fn spread(bytes: &[u8], spread: &mut [u8], stride: usize) {
+    for (block, spread) in bytes.as_chunks::<BLOCK_LEN>().0.iter().zip(spread.chunks_mut(stride)) {
+        spread[..BLOCK_LEN].copy_from_slice(block);
     }
 }
 
 widest! {
-    /// As [`widen`], as bfloat16 numbers, which hold 0..=255 exactly: the upper halves of the `f32` bits.
+    /// As [`spread`], as bfloat16 numbers, which hold 0..=255 exactly: the upper halves of the `f32` bits.
     pub fn widen_short(bytes: &[u8], numbers: &mut [u16], stride: usize) = widen_short_in
 }
 
@@ -84,10 +89,11 @@ mod tests {
         for (frame, blocked) in bytes.chunks(side * side).zip(blocked.chunks_mut(side * side)) {
             block_frame(frame, (side, side), blocked);
         }
-        let mut numbers = vec![0.0; blocked.len()];
+        let (mut stacked, mut numbers) = (vec![0; blocked.len()], vec![0.0; blocked.len()]);
         for (plane, frame) in blocked.chunks(side * side).enumerate() {
-            widen(frame, &mut numbers[plane * BLOCK_LEN..], channels * BLOCK_LEN);
+            spread(frame, &mut stacked[plane * BLOCK_LEN..], channels * BLOCK_LEN);
         }
+        widen(&stacked, &mut numbers);
         let input = Tensor::from_slice(&numbers).view([1, 9, 9, 16 * channels as i64]).permute([0, 3, 1, 2]);
         let found = input.conv2d(&block_kernel(&kernel), None::<Tensor>, 1, 0, 1, 1);
         assert_eq!(found.size(), plain.size());

@@ -55,7 +55,7 @@ impl ByParameter {
 
 impl Sequential {
     /// Sends a batch through the layers: pictures [batch, height, width, channels] or rows [batch, numbers], dense and
-    /// with 32 bits. No graph of libtorch is made.
+    /// with 32 bits; pictures for the first convolution may also be bytes. No graph of libtorch is made.
     pub fn pass(&self, params: &Parameters, input: &Tensor) -> Pass {
         let mut pass = Pass { input: input.detach(), outputs: Vec::with_capacity(self.0.len()) };
         for layer in &self.0 {
@@ -94,8 +94,13 @@ impl Layer {
                 let panels = params.panels(*weight, conv.shape.weights_len(), |weights, panels| {
                     conv.panels(weights, panels);
                 });
-                let (input, bias) = (memory::values(input), params.slice(*bias));
-                conv::forward(&conv.shape, input, &panels, bias, memory::values_mut(&mut output));
+                let (bias, numbers) = (params.slice(*bias), memory::values_mut(&mut output));
+                match input.kind() {
+                    Kind::Uint8 => {
+                        conv::forward_bytes(&conv.shape, memory::bytes(input), &panels, bias, numbers);
+                    }
+                    _ => conv::forward(&conv.shape, memory::values(input), &panels, bias, numbers),
+                }
                 output
             }
             Self::Flatten => input.permute([0, 3, 1, 2]).flatten(1, -1).contiguous(),
@@ -184,8 +189,13 @@ fn weight_gradient(
     gradient: &Tensor,
 ) -> Tensor {
     let mut panels = vec![0.0; conv.shape.weights_len()];
-    let (seen, gone) = (memory::values(input), memory::values(gradient));
-    conv::add_weight_gradient(&conv.shape, seen, gone, &mut panels);
+    let gone = memory::values(gradient);
+    match input.kind() {
+        Kind::Uint8 => {
+            conv::add_weight_gradient_bytes(&conv.shape, memory::bytes(input), gone, &mut panels);
+        }
+        _ => conv::add_weight_gradient(&conv.shape, memory::values(input), gone, &mut panels),
+    }
     let mut sums = empty(&params.spec(weight).shape);
     conv.read_panels(&panels, memory::values_mut(&mut sums));
     sums

@@ -26,7 +26,7 @@ fn pictures(batch: i64, side: usize, filters: [usize; 3]) -> Case {
     build.linear(&mut layers, "hidden", (features, 50), init, Activation::Relu);
     build.linear(&mut layers, "out", (50, 2), init, Activation::Linear);
     let blocks = (side / 4) as i64;
-    let input = (numbers(&[batch, blocks, blocks, 64], 0.37) * 127.0 + 127.0).round();
+    let input = (numbers(&[batch, blocks, blocks, 64], 0.37) * 127.0 + 127.0).to_kind(Kind::Uint8);
     Case { layers, params: build.finish(&mut Seed(1).stream("init")), input }
 }
 
@@ -76,7 +76,7 @@ fn outputs_and_all_gradients_are_those_of_libtorch() {
 #[test]
 fn the_gradient_of_the_input_is_that_of_libtorch() {
     for Case { layers, params, input } in all() {
-        let leaf = input.copy().set_requires_grad(true);
+        let leaf = input.to_kind(Kind::Float).copy().set_requires_grad(true);
         let output = layers.torch_forward(&params, &leaf);
         let weights = numbers(&output.size(), 1.3);
         let loss = (&output * &weights).sum(Kind::Float);
