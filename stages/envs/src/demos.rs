@@ -181,6 +181,20 @@ impl Demonstrations {
     /// # Errors
     /// The file cannot be read, is of another kind or version, is cut off, or is garbled.
     pub fn read(path: &Path) -> Result<Self, DemosError> {
+        let mut episodes = Vec::new();
+        let header = Self::read_each(path, |_, episode| episodes.push(episode))?;
+        Ok(Self { header, episodes })
+    }
+
+    /// Reads the file and hands over one episode after the other, so that only one need be in memory; gives what they
+    /// have in common.
+    ///
+    /// # Errors
+    /// As [`Demonstrations::read`]; episodes that were handed over before the error are whole.
+    pub fn read_each(
+        path: &Path,
+        each: impl FnMut(&DemosHeader, Episode),
+    ) -> Result<DemosHeader, DemosError> {
         let io = |source| DemosError::Io { action: "read", path: path.to_owned(), source };
         let mut file = BufReader::new(File::open(path).map_err(io)?);
         let mut magic = Vec::new();
@@ -192,29 +206,32 @@ impl Demonstrations {
                 expected: MAGIC.escape_ascii().to_string(),
             });
         }
-        Self::read_body(file).map_err(|message| DemosError::Damaged { path: path.to_owned(), message })
+        read_body(file, each).map_err(|message| DemosError::Damaged { path: path.to_owned(), message })
     }
+}
 
-    fn read_body(mut file: impl BufRead) -> Result<Self, String> {
-        let length = u32::from_le_bytes(bytes(&mut file, "the header's length")?);
-        if length > MOST_HEADER {
-            return Err(format!("a header of {length} bytes, expected at most {MOST_HEADER}"));
-        }
-        let mut header = vec![0; length as usize];
-        file.read_exact(&mut header).map_err(|error| format!("the header ends early: {error}"))?;
-        let header: FileHeader =
-            serde_json::from_slice(&header).map_err(|error| format!("the header cannot be read: {error}"))?;
-        let mut body = zstd::Decoder::with_buffer(file).map_err(|error| error.to_string())?;
-        body.window_log_max(WINDOW_LOG).map_err(|error| error.to_string())?;
-        let episode = |index| {
-            read_episode(&mut body, &header.common).map_err(|message| format!("episode {index}: {message}"))
-        };
-        let episodes = (0..header.episodes).map(episode).collect::<Result<Vec<_>, String>>()?;
-        match body.read(&mut [0; 1]) {
-            Ok(0) => Ok(Self { header: header.common, episodes }),
-            Ok(_) => Err(format!("there is more after {} episodes", header.episodes)),
-            Err(error) => Err(format!("the end cannot be read: {error}")),
-        }
+fn read_body(
+    mut file: impl BufRead,
+    mut each: impl FnMut(&DemosHeader, Episode),
+) -> Result<DemosHeader, String> {
+    let length = u32::from_le_bytes(bytes(&mut file, "the header's length")?);
+    if length > MOST_HEADER {
+        return Err(format!("a header of {length} bytes, expected at most {MOST_HEADER}"));
+    }
+    let mut header = vec![0; length as usize];
+    file.read_exact(&mut header).map_err(|error| format!("the header ends early: {error}"))?;
+    let header: FileHeader =
+        serde_json::from_slice(&header).map_err(|error| format!("the header cannot be read: {error}"))?;
+    let mut body = zstd::Decoder::with_buffer(file).map_err(|error| error.to_string())?;
+    body.window_log_max(WINDOW_LOG).map_err(|error| error.to_string())?;
+    for index in 0..header.episodes {
+        let episode = read_episode(&mut body, &header.common);
+        each(&header.common, episode.map_err(|message| format!("episode {index}: {message}"))?);
+    }
+    match body.read(&mut [0; 1]) {
+        Ok(0) => Ok(header.common),
+        Ok(_) => Err(format!("there is more after {} episodes", header.episodes)),
+        Err(error) => Err(format!("the end cannot be read: {error}")),
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use dril_envs::{Demonstrations, Episode, Frame, ObservationSpace};
+use dril_envs::{Demonstrations, DemosHeader, Episode, Frame, ObservationSpace};
 use dril_kinds::Precision;
 use dril_stage_api::StageError;
 use tch::Tensor;
@@ -25,56 +25,48 @@ pub struct Pairs {
 }
 
 impl Pairs {
-    /// Reads the demonstrations at the input `port`.
+    /// Reads the demonstrations at the input `port`, twice: to count and check, and to keep them, so that frames are in
+    /// memory once.
     ///
     /// # Errors
     /// The file cannot be read, holds no pair, or an action that is not a number.
     pub fn load(port: &str, path: &Path) -> Result<Self, StageError> {
         let wrong = |message: String| StageError::input(port, path, message);
-        let demos = Demonstrations::read(path).map_err(|error| wrong(error.to_string()))?;
-        if demos.steps() == 0 {
-            return Err(wrong(format!("has no step in {} episodes, expected some", demos.episodes.len())));
-        }
-        let index = demos.episodes.iter().position(|episode| episode.actions.iter().any(|a| !a.is_finite()));
-        if let Some(index) = index {
-            return Err(wrong(format!("episode {index} has an action that is not a number")));
-        }
-        let (_, space) = demos.header.env.spaces().map_err(|error| wrong(error.to_string()))?;
-        let kind = Actions::of(&space);
-        if let Actions::Choices(count) = kind {
-            let known = |action: &f32| action.fract() == 0.0 && (0.0..count as f32).contains(action);
-            let odd =
-                demos.episodes.iter().flat_map(|episode| &episode.actions).find(|action| !known(action));
-            if let Some(action) = odd {
-                return Err(wrong(format!(
-                    "has the action {action}, expected a choice from 0 to {}",
-                    count - 1
-                )));
+        let (mut lengths, mut odd, mut choices) = (Vec::new(), None, None);
+        let header = Demonstrations::read_each(path, |header, episode| {
+            let choices = *choices.get_or_insert_with(|| choices_of(header));
+            if odd.is_none() {
+                let message = odd_action(choices, &episode);
+                odd = message.map(|message| format!("episode {} has {message}", lengths.len()));
             }
+            lengths.push(episode.steps(header.action_dims));
+        });
+        let header = header.map_err(|error| wrong(error.to_string()))?;
+        if let Some(message) = odd {
+            return Err(wrong(message));
         }
-        Ok(Self::of(demos, kind))
-    }
-
-    /// Takes the demonstrations over, episode by episode: their frames are in memory once.
-    fn of(demos: Demonstrations, kind: Actions) -> Self {
-        let (steps, space) = (demos.steps(), demos.header.observation_space);
-        let dims = demos.header.action_dims;
-        let kind = match kind {
-            Actions::Numbers(_) => Actions::Numbers(dims),
+        let steps = lengths.iter().sum();
+        if steps == 0 {
+            return Err(wrong(format!("has no step in {} episodes, expected some", lengths.len())));
+        }
+        let (_, space) = header.env.spaces().map_err(|error| wrong(error.to_string()))?;
+        let kind = match Actions::of(&space) {
+            Actions::Numbers(_) => Actions::Numbers(header.action_dims),
             choices @ Actions::Choices(_) => choices,
         };
-        let mut frames = FrameStore::with_slots(spaces::observation(&space), steps);
-        let (mut actions, mut lengths) = (Vec::with_capacity(steps * dims), Vec::new());
-        let mut slot = 0;
-        for episode in demos.episodes {
-            lengths.push(episode.steps(dims));
+        let mut frames = FrameStore::with_slots(spaces::observation(&header.observation_space), steps);
+        let mut actions = Vec::with_capacity(steps * header.action_dims);
+        let mut slots = 0..steps;
+        let read = Demonstrations::read_each(path, |header, episode| {
             actions.extend_from_slice(&episode.actions);
-            for (step, frame) in frames_of(&episode, &space).enumerate() {
+            for ((step, frame), slot) in
+                frames_of(&episode, &header.observation_space).enumerate().zip(&mut slots)
+            {
                 frames.set(slot, frame, step == 0);
-                slot += 1;
             }
-        }
-        Self { frames, actions, dims, kind, lengths }
+        });
+        read.map_err(|error| wrong(error.to_string()))?;
+        Ok(Self { frames, actions, dims: header.action_dims, kind, lengths })
     }
 
     /// How many pairs there are.
@@ -133,6 +125,25 @@ impl Pairs {
     }
 }
 
+/// How many choices there are, where actions are choices.
+fn choices_of(header: &DemosHeader) -> Option<usize> {
+    match Actions::of(&header.env.spaces().ok()?.1) {
+        Actions::Choices(count) => Some(count),
+        Actions::Numbers(_) => None,
+    }
+}
+
+/// What is wrong with an action of the episode, where something is.
+fn odd_action(choices: Option<usize>, episode: &Episode) -> Option<String> {
+    if episode.actions.iter().any(|action| !action.is_finite()) {
+        return Some("an action that is not a number".to_owned());
+    }
+    let count = choices?;
+    let known = |action: &&f32| action.fract() == 0.0 && (0.0..count as f32).contains(*action);
+    let odd = episode.actions.iter().find(|action| !known(action))?;
+    Some(format!("the action {odd}, expected a choice from 0 to {}", count - 1))
+}
+
 /// What was seen before each action of an episode.
 fn frames_of<'a>(episode: &'a Episode, space: &ObservationSpace) -> Box<dyn Iterator<Item = Frame<'a>> + 'a> {
     let len = space.frame_len().max(1);
@@ -146,7 +157,7 @@ fn frames_of<'a>(episode: &'a Episode, space: &ObservationSpace) -> Box<dyn Iter
 pub(crate) mod tests {
     use super::*;
     use crate::fast::memory;
-    use dril_envs::{ActionRange, DemosHeader, EnvConfig, Outcome};
+    use dril_envs::{ActionRange, EnvConfig, Outcome};
 
     /// Episodes of these lengths in a made-up world of two numbers; what is done is a smooth function of both, beyond
     /// [-1, 1] at times.
@@ -204,8 +215,8 @@ pub(crate) mod tests {
         assert_eq!(pairs.action_values(&[0, 7]), [2.5, 0.01, 0.02, 0.03]);
         // The newest values of each plane of the second episode's second stack: two planes are black.
         let stack = pairs.observations(&[7]);
-        let planes: Vec<f32> = memory::values(&stack).chunks(36 * 36).map(|plane| plane[0]).collect();
-        assert_eq!(planes, [0.0, 0.0, 20.0, 21.0]);
+        let planes: Vec<u8> = memory::bytes(&stack).chunks(16).take(4).map(|plane| plane[0]).collect();
+        assert_eq!(planes, [0, 0, 20, 21]);
     }
 
     #[test]
