@@ -1,6 +1,7 @@
 //! Files, with the path in every error. The only user of `std::fs` in the engine, so that what touches the disk, and in
 //! which order it becomes durable, can be read in one place.
 
+mod dir;
 pub mod fault;
 mod folder;
 mod lock;
@@ -11,6 +12,7 @@ use std::io::{self, BufRead, Read, Seek, SeekFrom, Write};
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
+pub use dir::Dir;
 use fault::step;
 pub use folder::{Inside, Links, Outside, Stat, holds_at_most, outside, put, walk};
 pub use lock::Lock;

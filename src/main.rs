@@ -1,9 +1,12 @@
 //! The program: hands the stage kinds that it offers to the command line. Nothing else belongs here.
 
-use std::process::ExitCode;
-
 use dril_pipe::{cli, kinds};
 use dril_stage_api::{Kind, Registry, RegistryError};
+use std::process::ExitCode;
+
+/// To plan thousands of stages is to make and drop a hundred thousand small values.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 #[cfg(feature = "stages")]
 const EXTRAS: &[cli::Extra] =

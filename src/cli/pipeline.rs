@@ -12,41 +12,88 @@ use crate::error::{Error, ErrorKind};
 use crate::fsx;
 use crate::plan::{self, Plan, Verdict};
 use crate::resolve::{self, Choices, Graph, Selected};
-use crate::spec::{self, Diagnostics, SourceName, Spec};
+use crate::spec::{self, Diagnostics, Memo, SourceName, Spec};
 use crate::store::{Digest, Store};
 
 /// The environment variable that names the store.
 const CACHE: &str = "DRIL_PIPE_CACHE";
+
+/// Files of fewer bytes are read faster than what is known of them.
+const SMALL: usize = 16 << 10;
 
 /// Reads and resolves the pipeline file.
 ///
 /// # Errors
 /// All that is wrong with it.
 pub(super) fn load(args: &PipelineArgs, registry: &Registry) -> Result<Graph, Error> {
-    load_with(args, registry, &mut Parts::new())
+    load_with(args, registry, &mut Reading::default())
 }
 
-/// Files that a pipeline file includes, directly or through others, with the content that was read.
-pub(super) type Parts = BTreeMap<PathBuf, Digest>;
+/// What reading a pipeline file learns beside its graph.
+#[derive(Default)]
+pub(super) struct Reading<'s> {
+    /// Files that it includes, directly or through others, with the content that was read.
+    pub parts: BTreeMap<PathBuf, Digest>,
+    /// Where to look for what is known of the file.
+    store: Option<&'s Store>,
+    memo: Option<(Digest, Memo)>,
+}
 
-fn load_with(args: &PipelineArgs, registry: &Registry, parts: &mut Parts) -> Result<Graph, Error> {
+impl<'s> Reading<'s> {
+    /// With what the store knows of the file.
+    pub fn from(store: &'s Store) -> Self {
+        Self { store: Some(store), ..Self::default() }
+    }
+
+    /// Keeps what was read for the next time. That this does not work is no error.
+    pub fn keep(&self) {
+        if let (Some(store), Some((name, memo))) = (self.store, &self.memo)
+            && let Some(bytes) = memo.bytes()
+        {
+            let _ = store.keep_parsed(name, &bytes);
+        }
+    }
+
+    fn parse(&mut self, file: &Path, bytes: &[u8], name: &SourceName) -> Result<Spec, Diagnostics> {
+        let base = base_of(file);
+        let parts = &mut self.parts;
+        let mut load = |path: &str| {
+            let path = base.join(path);
+            let bytes = fsx::read(&path).map_err(|error| error.source)?;
+            parts.insert(path, Digest::of(&bytes));
+            Ok(bytes)
+        };
+        if let Some(store) = self.store
+            && bytes.len() >= SMALL
+            && let (Ok(path), Some(program)) = (std::path::absolute(file), super::unchanged::program())
+        {
+            // Another build may read a text as something else.
+            let name = [path.as_os_str().as_encoded_bytes(), b"\0", program.as_bytes()].concat();
+            let name = Digest::of(&name);
+            self.memo = Some((name, Memo::read(store.parsed(&name))));
+        }
+        match &mut self.memo {
+            Some((_, memo)) => spec::parse_remembering(bytes, name, &mut load, memo),
+            None => spec::parse_with(bytes, name, &mut load),
+        }
+    }
+}
+
+pub(super) fn load_with(
+    args: &PipelineArgs,
+    registry: &Registry,
+    reading: &mut Reading<'_>,
+) -> Result<Graph, Error> {
     let name = SourceName(args.file.display().to_string());
-    let spec = read(&args.file, &name, parts)?;
+    let spec = read(&args.file, &name, reading)?;
     let choices = Choices { environment: environment(), ..args.choices() };
     Ok(resolve::resolve(&spec, &choices, registry)?)
 }
 
 /// Reads a pipeline file and those that it includes.
-fn read(file: &Path, name: &SourceName, parts: &mut Parts) -> Result<Spec, Error> {
+fn read(file: &Path, name: &SourceName, reading: &mut Reading<'_>) -> Result<Spec, Error> {
     let bytes = fsx::read(file).map_err(|error| Diagnostics::unreadable(name, &error.source))?;
-    let base = base_of(file);
-    let mut load = |path: &str| {
-        let path = base.join(path);
-        let bytes = fsx::read(&path).map_err(|error| error.source)?;
-        parts.insert(path, Digest::of(&bytes));
-        Ok(bytes)
-    };
-    Ok(spec::parse_with(&bytes, name, &mut load)?)
+    Ok(reading.parse(file, &bytes, name)?)
 }
 
 /// The variables whose names and values are text.
@@ -61,7 +108,7 @@ fn environment() -> BTreeMap<String, String> {
 /// All that is wrong with it.
 pub(super) fn load_all_profiles(file: &Path, registry: &Registry) -> Result<Vec<Graph>, Error> {
     let name = SourceName(file.display().to_string());
-    let spec = read(file, &name, &mut Parts::new())?;
+    let spec = read(file, &name, &mut Reading::default())?;
     let mut profiles: Vec<Option<String>> = spec.profiles().map(|profile| Some(profile.to_owned())).collect();
     if profiles.is_empty() {
         profiles.push(None);
@@ -74,7 +121,7 @@ pub(super) fn load_all_profiles(file: &Path, registry: &Registry) -> Result<Vec<
     Ok(graphs)
 }
 
-/// As [`load`], and the part of the graph that is asked for.
+/// As [`load`], and the part of the graph that is asked for; `reading` is told what else was learned.
 ///
 /// # Errors
 /// All that is wrong with the file, or the first pattern that means no stage.
@@ -82,21 +129,9 @@ pub(super) fn select(
     args: &PipelineArgs,
     select: &SelectArgs,
     registry: &Registry,
+    reading: &mut Reading<'_>,
 ) -> Result<Selected, Error> {
-    select_with(args, select, registry, &mut Parts::new())
-}
-
-/// As [`select`]; `parts` is told which files were included.
-///
-/// # Errors
-/// As [`select`].
-pub(super) fn select_with(
-    args: &PipelineArgs,
-    select: &SelectArgs,
-    registry: &Registry,
-    parts: &mut Parts,
-) -> Result<Selected, Error> {
-    let graph = load_with(args, registry, parts)?;
+    let graph = load_with(args, registry, reading)?;
     select.selection().of(graph).map_err(no_stage)
 }
 

@@ -19,8 +19,9 @@ use crate::store::Store;
 const MOST_CAUSES: usize = 4;
 
 pub(super) fn main(args: &PlanArgs, registry: &Registry) -> Result<ExitCode, Error> {
-    let selected = pipeline::select(&args.pipeline, &args.select, registry)?;
     let store = pipeline::store(&args.store)?;
+    let reading = &mut pipeline::Reading::from(&store);
+    let selected = pipeline::select(&args.pipeline, &args.select, registry, reading)?;
     let plan = pipeline::plan(&selected, &store, &args.pipeline)?;
     show(&plan, &store, args.json, args.all)?;
     Ok(ExitCode::SUCCESS)

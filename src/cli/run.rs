@@ -8,7 +8,7 @@ use serde_json::{Map, Value, json};
 
 use super::args::RunArgs;
 use super::lockfile::{self, Keys, LockFile};
-use super::pipeline::Parts;
+use super::pipeline::Reading;
 use super::report::{self, Ending, Left};
 use super::unchanged::Circumstances;
 use super::{checked, pipeline, results, signals};
@@ -27,10 +27,10 @@ pub(super) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Erro
     {
         return Ok(ExitCode::SUCCESS);
     }
-    let mut parts = Parts::new();
-    let selected = pipeline::select_with(&args.pipeline, &args.select, registry, &mut parts)?;
-    let graph = &selected.graph;
     let store = pipeline::store(&args.store)?;
+    let mut reading = Reading::from(&store);
+    let selected = pipeline::select(&args.pipeline, &args.select, registry, &mut reading)?;
+    let graph = &selected.graph;
     let plan = pipeline::plan(&selected, &store, &args.pipeline)?;
     if args.dry_run {
         super::plan::show(&plan, &store, args.json, false)?;
@@ -38,6 +38,7 @@ pub(super) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Erro
     }
     // Only of a file that did not change while it was read.
     let circumstances = circumstances.filter(|before| Circumstances::of(args).as_ref() == Some(before));
+    let mut parts = reading.parts.clone();
     parts.extend(plan.files.values().map(|file| (file.path.clone(), file.digest)));
     let lock = Locked::read(args)?;
     lock.check_plan(&plan)?;
@@ -48,6 +49,7 @@ pub(super) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Erro
         .map_err(|error| Error::new(ErrorKind::Io, format!("cannot find this program's file: {error}")))?;
     let stop = signals::stop_flag()?;
     let executed = exec::execute(plan, &store, &runner, &options, &stop, &mut |event| reporter.event(event))?;
+    reading.keep();
     let folder = args.out.clone().unwrap_or_else(|| results::default_folder(graph));
     let place = |stage| executed.outputs(selected.place(stage)?);
     let published = results::publish(&folder, selected.all(), &store, place);

@@ -29,6 +29,8 @@ struct Note {
     profile: String,
     /// Files that the pipeline file includes and files from outside, as the long way found them.
     files: BTreeMap<PathBuf, Digest>,
+    /// The variables that stages name, each with the digest of its value.
+    variables: BTreeMap<String, Option<Digest>>,
     results: Option<PathBuf>,
     result_files: usize,
 }
@@ -81,10 +83,6 @@ impl Circumstances {
         part_of(&mut made_from, fsx::identity(&pipeline.file).ok()?.as_bytes());
         part_of(&mut made_from, lock.as_deref().unwrap_or(b"none"));
         part_of(&mut made_from, program()?.as_bytes());
-        for (variable, value) in std::env::vars_os() {
-            part_of(&mut made_from, variable.as_encoded_bytes());
-            part_of(&mut made_from, value.as_encoded_bytes());
-        }
         let digest = |hasher: &blake3::Hasher| Digest::new(*hasher.finalize().as_bytes());
         Some(Self { name: digest(&name), made_from: digest(&made_from) })
     }
@@ -95,6 +93,9 @@ impl Circumstances {
         let _held = store.hold()?;
         let Some(settled) = store.settled(&self.name, &self.made_from)? else { return Ok(false) };
         let Ok(note) = serde_json::from_slice::<Note>(&settled.note) else { return Ok(false) };
+        if note.variables.iter().any(|(name, value)| variable(name) != *value) {
+            return Ok(false);
+        }
         for (path, digest) in &note.files {
             if hash_small(path) != Some(*digest) {
                 return Ok(false);
@@ -126,6 +127,7 @@ impl Circumstances {
             pipeline: graph.pipeline.clone(),
             profile: graph.profile.clone(),
             files,
+            variables: variables(graph),
             results: published.map(|published| published.folder.clone()),
             result_files: published.map_or(0, |published| published.files),
         };
@@ -152,8 +154,22 @@ fn hash_small(path: &Path) -> Option<Digest> {
     }
 }
 
+/// The variables whose values enter the parameters of stages. Some have a value in the pipeline file instead; to look at
+/// those, too, costs nothing.
+fn variables(graph: &Graph) -> BTreeMap<String, Option<Digest>> {
+    let named = graph.stages.node_weights().filter_map(|stage| {
+        let field = stage.kind.environment()?;
+        stage.params.get(field)?.as_object()
+    });
+    named.flat_map(|named| named.keys()).map(|name| (name.clone(), variable(name))).collect()
+}
+
+fn variable(name: &str) -> Option<Digest> {
+    std::env::var_os(name).map(|value| Digest::of(value.as_encoded_bytes()))
+}
+
 /// Which build of this program runs: another one may plan otherwise.
-fn program() -> Option<String> {
+pub(super) fn program() -> Option<String> {
     let path = std::env::current_exe().ok()?;
     fsx::identity(&path).ok()
 }

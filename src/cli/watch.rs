@@ -3,19 +3,20 @@
 //! It looks at the files a few times a second instead of asking the system for notices: there are few of them, and that
 //! works on every file system.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::atomic::Ordering;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use dril_stage_api::Registry;
 
 use super::args::RunArgs;
+use super::pipeline::Reading;
 use super::terminal::{Style, Terminal, count, print, print_error, shown};
 use super::{pipeline, run, signals};
 use crate::error::{Error, exit_codes};
-use crate::fsx;
+use crate::fsx::{self, Links};
 use crate::resolve::{From, Graph};
 
 /// How often the files are looked at.
@@ -48,10 +49,12 @@ pub(super) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Erro
             if stop.load(Ordering::Relaxed) {
                 return Ok(ExitCode::from(exit_codes::INTERRUPTED));
             }
+            let began = Instant::now();
             if let Some(changed) = changed(&seen) {
                 break changed;
             }
-            std::thread::sleep(GLANCE);
+            // Thousands of files are looked at more rarely.
+            std::thread::sleep(GLANCE.max(began.elapsed() * 10));
         };
         settle(&files);
         if !args.quiet && !args.json {
@@ -60,23 +63,37 @@ pub(super) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Erro
     }
 }
 
-/// The pipeline file and the files from outside that it reads, as far as it can be read.
+/// The pipeline file, those that it includes, and the files from outside that it reads, as far as they can be read.
 fn files(args: &RunArgs, registry: &Registry) -> Vec<PathBuf> {
     let mut files = vec![args.pipeline.file.clone()];
-    if let Ok(graph) = pipeline::load(&args.pipeline, registry) {
+    let mut reading = Reading::default();
+    let graph = pipeline::load_with(&args.pipeline, registry, &mut reading);
+    files.extend(reading.parts.into_keys());
+    if let Ok(graph) = graph {
         let base = pipeline::base(&args.pipeline);
-        files.extend(outside(&graph).into_iter().map(|path| base.join(path)));
+        for (path, is_folder) in outside(&graph) {
+            let path = base.join(path);
+            if is_folder {
+                // Folders, too: they look otherwise when a file comes or goes.
+                for inside in fsx::walk(&path, Links::Follow).unwrap_or_default() {
+                    let all = inside.path.ancestors().filter(|inside| !inside.as_os_str().is_empty());
+                    files.extend(all.map(|inside| path.join(inside)));
+                }
+            }
+            files.push(path);
+        }
     }
     files.sort();
     files.dedup();
     files
 }
 
-fn outside(graph: &Graph) -> Vec<&str> {
+/// The paths from outside; true for those of folders.
+fn outside(graph: &Graph) -> BTreeSet<(&str, bool)> {
     let sources = graph.stages.node_weights().flat_map(|stage| &stage.inputs).flat_map(|wire| &wire.sources);
     sources
         .filter_map(|source| match &source.from {
-            From::File { path, .. } => Some(path.as_str()),
+            From::File { path, folder, .. } => Some((path.as_str(), *folder)),
             From::Stage { .. } => None,
         })
         .collect()

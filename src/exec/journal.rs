@@ -4,6 +4,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::{Event, Options, Outcome};
@@ -87,22 +88,39 @@ impl<'a, 's> Journal<'a, 's> {
     }
 
     fn note(&mut self, event: &Event) {
-        if let Some(mut line) = line(self.graph, event) {
-            line["at"] = json!(self.began.elapsed().as_millis() as f64 / 1000.0);
+        let at = self.began.elapsed().as_millis() as f64 / 1000.0;
+        // There are thousands of these at a time.
+        if let Event::Cached { stage, key } = event {
+            let stage: &str = &self.graph.stages[*stage].id;
+            let start = self.lines.len();
+            match serde_json::to_writer(&mut self.lines, &CachedLine { at, event: "cached", key, stage }) {
+                Ok(()) => self.lines.push(b'\n'),
+                Err(_) => self.lines.truncate(start),
+            }
+        } else if let Some(mut line) = line(self.graph, event) {
+            line["at"] = json!(at);
             self.lines.extend_from_slice(line.to_string().as_bytes());
             self.lines.push(b'\n');
         }
     }
 }
 
+/// The line of a stage that was cached.
+#[derive(Serialize)]
+struct CachedLine<'a> {
+    at: f64,
+    event: &'static str,
+    key: &'a Key,
+    stage: &'a str,
+}
+
 fn line(graph: &Graph, event: &Event) -> Option<Value> {
     let id = |stage: &StageIndex| graph.stages[*stage].id.as_ref().to_owned();
     Some(match event {
-        Event::Progressed { .. } => return None,
+        Event::Progressed { .. } | Event::Cached { .. } => return None,
         Event::Started { stages, threads } => {
             json!({ "event": "run-started", "version": 1, "stages": stages, "threads": threads })
         }
-        Event::Cached { stage, key } => json!({ "event": "cached", "stage": id(stage), "key": key }),
         Event::Waiting { stage } => json!({ "event": "waiting", "stage": id(stage) }),
         Event::StageStarted { stage, key, why } => {
             json!({ "event": "started", "stage": id(stage), "key": key, "why": why })

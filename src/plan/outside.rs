@@ -16,6 +16,9 @@ use crate::store::{self, Digest, Folder, FolderEntry, FolderFile, Stats, Store};
 /// How often a file that changes while it is read is read anew.
 const TRIES: usize = 3;
 
+/// So many bytes are read one file after another.
+const SIDE_BY_SIDE: u64 = 1 << 20;
+
 /// A file or folder from outside, as it was when the plan was made.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct OutsideFile {
@@ -120,7 +123,7 @@ fn digests<'w>(
     stats: &mut Stats,
 ) -> Result<Contents, Vec<(&'w str, FsError)>> {
     let mut known = BTreeMap::new();
-    let mut unknown = Vec::new();
+    let (mut unknown, mut bytes) = (Vec::new(), 0_u64);
     for (written, (path, found)) in looked {
         let files: Vec<(PathBuf, Stat)> = match found {
             Found::File(stat) => vec![(path.clone(), *stat)],
@@ -131,19 +134,28 @@ fn digests<'w>(
         for (path, stat) in files {
             match stats.digest(&absolute(&path), &stat) {
                 Some(digest) => drop(known.insert(path, (digest, stat))),
-                None => unknown.push((*written, path)),
+                None => {
+                    bytes = bytes.saturating_add(stat.bytes);
+                    unknown.push((*written, path));
+                }
             }
         }
     }
-    let read: Vec<_> = unknown.par_iter().map(|(written, path)| (*written, path, read(path))).collect();
+    let one = |(written, path): &'_ (&'w str, PathBuf)| (*written, path.clone(), read(path));
+    // Threads cost more than they gain where there is little to read.
+    let read: Vec<_> = if bytes < SIDE_BY_SIDE {
+        unknown.iter().map(one).collect()
+    } else {
+        unknown.par_iter().map(one).collect()
+    };
     let mut errors = Vec::new();
     for (written, path, result) in read {
         match result {
             Ok(Read { digest, stat, began, steady }) => {
                 if steady {
-                    stats.learn(&absolute(path), stat, began, digest);
+                    stats.learn(&absolute(&path), stat, began, digest);
                 }
-                known.insert(path.clone(), (digest, stat));
+                known.insert(path, (digest, stat));
             }
             Err(error) => errors.push((written, error)),
         }

@@ -4,8 +4,10 @@
 use std::sync::Arc;
 
 use super::decode::{self, File};
+use super::memo::Memo;
 use super::model::Spec;
 use super::node::{Key, Value, shorten};
+use super::pieces;
 use super::problem::{Problem, Problems};
 use super::source::{Source, Sources, Span};
 use super::yaml;
@@ -20,6 +22,7 @@ const MAX_CHAIN: usize = 100;
 pub(super) struct Reader<'r, 'l> {
     name: &'r SourceName,
     load: &'r mut Load<'l>,
+    memo: Option<&'r mut Memo>,
     sources: Vec<Arc<Source>>,
     problems: Problems,
     /// Those that are read, an included one before the file that includes it.
@@ -32,11 +35,11 @@ pub(super) struct Reader<'r, 'l> {
 }
 
 impl<'r, 'l> Reader<'r, 'l> {
-    /// For the pipeline file of that name.
-    pub fn new(name: &'r SourceName, load: &'r mut Load<'l>) -> Self {
+    /// For the pipeline file of that name. With a memo, files are read by pieces.
+    pub fn new(name: &'r SourceName, load: &'r mut Load<'l>, memo: Option<&'r mut Memo>) -> Self {
         let (sources, problems) = (Vec::new(), Problems::default());
         let (files, begun, open) = (Vec::new(), Vec::new(), Vec::new());
-        Self { name, load, sources, problems, files, begun, open, broken: false }
+        Self { name, load, memo, sources, problems, files, begun, open, broken: false }
     }
 
     /// Reads the pipeline file and all that it includes.
@@ -78,7 +81,8 @@ impl<'r, 'l> Reader<'r, 'l> {
         }
         self.sources.push(Arc::new(source(text)));
         let before = self.problems.reports();
-        let root = yaml::read(text, number, 0, &mut self.problems);
+        let pieces = self.memo.as_mut().and_then(|memo| pieces::read(text, number, memo));
+        let root = pieces.or_else(|| yaml::read(text, number, 0, &mut self.problems));
         let root = match root {
             Some(root) if matches!(root.value, Value::Map(_)) => root,
             found => {

@@ -3,7 +3,8 @@
 //! [`parse`] fails only where there is no tree of values to go on with. Mistakes in it are kept in the [`Spec`] and
 //! reported by [`crate::resolve::resolve`] together with what that finds, so that a user sees all of them at once.
 //!
-//! `include` goes from a file to those that it includes, `yaml` turns text into `node`s (with `scalar` and `syntax`), `decode`, `matrix` and `layer` turn those into the `model`;
+//! `include` goes from a file to those that it includes, `yaml` turns text into `node`s (with `scalar` and `syntax`; large
+//! files by `pieces`, of which a `memo` knows what they were before), `decode`, `matrix` and `layer` turn those into the `model`;
 //! `problem` collects what is wrong, `diagnostic` shows it.
 
 mod decode;
@@ -12,9 +13,11 @@ pub(crate) mod include;
 pub(crate) mod layer;
 pub(crate) mod limits;
 mod matrix;
+mod memo;
 pub(crate) mod model;
 pub(crate) mod names;
 pub(crate) mod node;
+mod pieces;
 pub(crate) mod problem;
 mod scalar;
 mod schema;
@@ -25,7 +28,10 @@ pub(crate) mod yaml;
 
 pub use diagnostic::{Diagnostic, Diagnostics, Place};
 pub use limits::Limits;
+pub use memo::Memo;
 pub use model::Spec;
+#[doc(hidden)]
+pub use pieces::pieces_agree;
 pub use schema::schema;
 
 use node::Value;
@@ -61,7 +67,20 @@ pub fn parse_bytes(bytes: &[u8], name: &SourceName) -> Result<Spec, Diagnostics>
 /// # Errors
 /// As [`parse_bytes`].
 pub fn parse_with(bytes: &[u8], name: &SourceName, load: &mut Load<'_>) -> Result<Spec, Diagnostics> {
-    include::Reader::new(name, load).read(bytes)
+    include::Reader::new(name, load, None).read(bytes)
+}
+
+/// As [`parse_with`], the same result in less time where `memo` knows the stages, which it is told of otherwise.
+///
+/// # Errors
+/// As [`parse_bytes`].
+pub fn parse_remembering(
+    bytes: &[u8],
+    name: &SourceName,
+    load: &mut Load<'_>,
+    memo: &mut Memo,
+) -> Result<Spec, Diagnostics> {
+    include::Reader::new(name, load, Some(memo)).read(bytes)
 }
 
 /// Reads a file for [`parse_with`].

@@ -19,26 +19,18 @@ const MAX_COPIES: usize = 100_000;
 /// Reads the one document of `text`, which is source number `source` from byte `offset` on. `None` where there is no
 /// tree to go on with, or no document; problems say which.
 pub(crate) fn read(text: &str, source: u16, offset: usize, problems: &mut Problems) -> Option<Node> {
-    let options = granit_parser::options! {
-        emit_comments: false,
-        flow_nesting_limit: MAX_DEPTH,
-        block_nesting_limit: MAX_DEPTH,
-    };
     let mut loader = Loader::new(source, offset, problems);
-    for next in Parser::new_from_str_with_options(text, options) {
-        let (event, span) = match next {
-            Ok(next) => next,
-            Err(error) => {
-                let at = error.marker().byte_offset().unwrap_or(text.len());
-                let at = syntax::culprit(error.kind(), text, at);
-                let at = Span::new(source, offset + at..offset + at + 1);
-                loader.problems.add(|| syntax::explain(error.kind(), at));
-                return None;
-            }
-        };
-        loader.event(event, span)?;
-    }
+    loader.load(text)?;
     loader.root
+}
+
+/// Reads a part of a file, in which nothing is wrong and which copies nothing; `None` for any other.
+pub(super) fn read_part(text: &str, source: u16, offset: usize) -> Option<Node> {
+    let mut problems = Problems::default();
+    let mut loader = Loader::new(source, offset, &mut problems);
+    loader.load(text)?;
+    let (root, copies) = (loader.root, loader.copies);
+    root.filter(|_| copies == 0 && problems.reports() == 0)
 }
 
 /// A list or map that is not closed yet.
@@ -69,6 +61,30 @@ impl<'p> Loader<'p> {
     fn new(source: u16, offset: usize, problems: &'p mut Problems) -> Self {
         let (stack, anchors) = (Vec::new(), HashMap::new());
         Self { source, offset, problems, stack, anchors, copies: 0, documents: 0, root: None }
+    }
+
+    /// Reads the text; `None` where reading cannot go on.
+    fn load(&mut self, text: &str) -> Option<()> {
+        let options = granit_parser::options! {
+            emit_comments: false,
+            flow_nesting_limit: MAX_DEPTH,
+            block_nesting_limit: MAX_DEPTH,
+        };
+        for next in Parser::new_from_str_with_options(text, options) {
+            let (event, span) = match next {
+                Ok(next) => next,
+                Err(error) => {
+                    let at = error.marker().byte_offset().unwrap_or(text.len());
+                    let at = syntax::culprit(error.kind(), text, at);
+                    let at = self.offset + at;
+                    let at = Span::new(self.source, at..at + 1);
+                    self.problems.add(|| syntax::explain(error.kind(), at));
+                    return None;
+                }
+            };
+            self.event(event, span)?;
+        }
+        Some(())
     }
 
     fn span(&self, span: granit_parser::Span) -> Span {

@@ -20,7 +20,7 @@ use std::sync::atomic::Ordering;
 use rayon::prelude::*;
 
 use super::{Blob, Digest, Run, Store, StoreError, Stored};
-use crate::fsx::{self, Entry, FsError, Links};
+use crate::fsx::{self, FsError, Links};
 
 const HEAD: &str = "dril-folder 1";
 
@@ -244,7 +244,7 @@ impl Store {
     pub(super) fn has_folder(&self, digest: &Digest) -> Result<bool, StoreError> {
         let Some(folder) = self.folder(digest)? else { return Ok(false) };
         for (_, file) in folder.files() {
-            if fsx::entry(&self.blob_path(&file.digest))? != Some(Entry::File(file.bytes)) {
+            if !self.has_blob(&file.digest, file.bytes)? {
                 return Ok(false);
             }
         }

@@ -7,6 +7,7 @@ mod digest;
 mod folder;
 mod history;
 mod in_use;
+mod parsed;
 mod past;
 mod record;
 mod run;
@@ -34,7 +35,7 @@ pub use sweep::{Sweep, Swept};
 pub use usage::Usage;
 pub use verify::{Damage, Verified};
 
-use crate::fsx::{self, Entry, FsError, Lock};
+use crate::fsx::{self, Dir, Entry, FsError, Lock};
 
 /// Why the store cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -65,6 +66,10 @@ pub enum StoreError {
     Changed(PathBuf),
 }
 
+/// Where contents and records are, in the store.
+const BLOBS: &str = "blobs-v1";
+const RECORDS: &str = "records-v1";
+
 /// How the key of a record is computed; above this module, since it is the planner's.
 pub type KeyOf = fn(&Record) -> Option<Key>;
 
@@ -83,6 +88,8 @@ pub enum Found {
 #[derive(Clone, Debug)]
 pub struct Store {
     root: PathBuf,
+    blobs: Dir,
+    records: Dir,
 }
 
 impl Store {
@@ -96,7 +103,10 @@ impl Store {
         // A link to a folder is as good as a folder; anything else that is there is not.
         match fsx::entry(&absolute)? {
             Some(Entry::File(_)) => Err(StoreError::NotAFolder(absolute)),
-            _ => Ok(Self { root: absolute }),
+            _ => {
+                let (blobs, records) = (absolute.join(BLOBS), absolute.join(RECORDS));
+                Ok(Self { root: absolute, blobs: Dir::new(blobs), records: Dir::new(records) })
+            }
         }
     }
 
@@ -136,7 +146,7 @@ impl Store {
     /// # Errors
     /// The store cannot be read.
     pub fn has_record(&self, key: &Key) -> Result<bool, StoreError> {
-        Ok(matches!(fsx::entry(&self.record_path(key))?, Some(Entry::File(_))))
+        Ok(matches!(self.records.entry(&sharded(&key.hex(), ".json"))?, Some(Entry::File(_))))
     }
 
     /// The first output whose file, or one of whose files, is not there in its full length.
@@ -145,22 +155,28 @@ impl Store {
     /// The store cannot be read.
     pub fn lost<'o>(&self, outputs: &'o Outputs) -> Result<Option<&'o str>, StoreError> {
         for (name, stored) in outputs {
-            let there = fsx::entry(&self.blob_path(&stored.digest))? == Some(Entry::File(stored.bytes));
-            if !there || stored.folder && !self.has_folder(&stored.digest)? {
+            if !self.has_blob(&stored.digest, stored.bytes)?
+                || stored.folder && !self.has_folder(&stored.digest)?
+            {
                 return Ok(Some(name));
             }
         }
         Ok(None)
     }
 
+    /// True where a content of that length is in its place. Its bytes are not looked at.
+    fn has_blob(&self, digest: &Digest, bytes: u64) -> Result<bool, StoreError> {
+        Ok(self.blobs.entry(&sharded(&digest.hex(), ""))? == Some(Entry::File(bytes)))
+    }
+
     /// The file of a content (read-only); it may not be there.
     pub fn blob_path(&self, digest: &Digest) -> PathBuf {
-        self.sharded("blobs-v1", &digest.hex(), "")
+        self.blobs.path().join(sharded(&digest.hex(), ""))
     }
 
     /// The file of a key's record; it may not be there.
     pub fn record_path(&self, key: &Key) -> PathBuf {
-        self.sharded("records-v1", &key.hex(), ".json")
+        self.records.path().join(sharded(&key.hex(), ".json"))
     }
 
     /// The folder of a key's checkpoints; it may not be there.
@@ -209,14 +225,14 @@ impl Store {
         fsx::write_synced(&draft, &serde_json::to_vec(record).map_err(in_memory(&draft))?)?;
         Ok(place(&draft, &path)?)
     }
+}
 
-    /// `name` in a subfolder named after its first two letters, so that no folder grows too long.
-    fn sharded(&self, folder: &str, name: &str, ending: &str) -> PathBuf {
-        let (shard, rest) = name.split_at(2);
-        let mut path = String::with_capacity(folder.len() + name.len() + ending.len() + 2);
-        path.extend([folder, "/", shard, "/", rest, ending]);
-        self.root.join(path)
-    }
+/// `name` in a subfolder named after its first two letters, so that no folder grows too long.
+fn sharded(name: &str, ending: &str) -> String {
+    let (shard, rest) = name.split_at(2);
+    let mut path = String::with_capacity(name.len() + ending.len() + 1);
+    path.extend([shard, "/", rest, ending]);
+    path
 }
 
 /// Moves a file to its place for good: the name is durable too.

@@ -11,7 +11,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use rayon::prelude::*;
 
 use super::{Digest, Key, Store, StoreError};
-use crate::fsx::{self, Entry};
+use crate::fsx;
 
 /// What has to be there.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -39,9 +39,7 @@ impl Store {
         let contents: Vec<(&Digest, &u64)> = settled.contents.iter().collect();
         let keys = keys.par_iter().map(|key| self.has_record(key));
         let there = keys.try_reduce(|| true, |one, other| Ok(one && other))?;
-        let contents = contents.par_iter().map(|(digest, bytes)| {
-            Ok::<_, StoreError>(fsx::entry(&self.blob_path(digest))? == Some(Entry::File(**bytes)))
-        });
+        let contents = contents.par_iter().map(|(digest, bytes)| self.has_blob(digest, **bytes));
         let there = there && contents.try_reduce(|| true, |one, other| Ok(one && other))?;
         Ok(there.then_some(settled))
     }

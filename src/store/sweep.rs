@@ -239,6 +239,11 @@ impl Store {
             }
         }
         if !wish.dry_run {
+            for path in fsx::list(&self.root().join("parsed-v1"))? {
+                if old(fsx::modified(&path)?) {
+                    fsx::remove_file(&path)?;
+                }
+            }
             if !swept.records.is_empty() {
                 // Notes of what is there, part of which is not any more.
                 fsx::remove_dir_all(&self.root().join("settled-v1"))?;

@@ -180,6 +180,10 @@ fn an_archive_describes_itself_as_a_workflow_run_crate() {
     assert_eq!(entity("#run")["instrument"]["@id"], "pipeline.yaml");
     let actions = graph.iter().filter(|one| one["@type"] == "CreateAction").count();
     assert_eq!(actions, 9, "one for each stage, one for the run");
+    let run = entity("#run");
+    assert_eq!(run["actionStatus"], "http://schema.org/CompletedActionStatus");
+    assert!(run["endTime"].as_str().is_some_and(|time| time.ends_with("+00:00")), "{run}");
+    assert!(entity("pipeline.yaml")["conformsTo"]["@id"].as_str().unwrap().contains("ComputationalWorkflow"));
     // Whatever is named is described, and every part is in the archive.
     fn named(value: &Value, into: &mut Vec<String>) {
         match value {

@@ -116,6 +116,22 @@ fn a_stage_that_finds_no_room_keeps_no_thread_idle() {
 }
 
 #[test]
+fn a_stage_that_needs_many_threads_is_not_kept_waiting_by_ever_more_small_ones() {
+    // The costs are lies: the small ones take as long as the one that is said to take a hundred times as long.
+    let small = |at: usize| count(&format!("small{at}"), json!({"to": 4, "step_millis": 10, "cost": 1.0}));
+    let first = [
+        count("long", json!({"to": 6, "step_millis": 10, "cost": 100.0})),
+        count("wide", json!({"to": 1, "threads": 2, "cost": 50.0})),
+    ];
+    let lab = Lab::new();
+    let stages: Vec<StageLine> = first.into_iter().chain((0..12).map(small)).collect();
+    let ran = lab.run_children(&stages, &options(2));
+    let started = ran.started();
+    let at = started.iter().position(|name| name == "wide").unwrap();
+    assert!((1..=4).contains(&at), "the long one, and those that began while it ran: {started:?}");
+}
+
+#[test]
 fn the_thread_count_changes_no_result() {
     let stages = [
         count("a", json!({"to": 4})),

@@ -64,12 +64,40 @@ fn a_file_from_outside_that_changed_is_noticed_whenever_it_changed() {
 }
 
 #[test]
-fn another_folder_or_environment_takes_the_long_way() {
+fn a_variable_that_a_stage_sees_is_noticed_and_no_other() {
+    let sealed = Sealed::with(
+        "name: x\nstages:\n  a: { kind: command, with: { shell: 'echo $${SEEN-none} > {outputs.t}', env: [SEEN], outputs: { t: { type: table } } } }\n",
+    );
+    let run = |value: Option<&str>, other: &str| {
+        let mut command = sealed.command("run p.yaml");
+        command.env("OTHER", other).env_remove("SEEN");
+        if let Some(value) = value {
+            command.env("SEEN", value);
+        }
+        let said = ended(command).stdout;
+        (said.contains("0 stages executed"), sealed.read("results/x-default/a.csv"))
+    };
+    for (value, other, nothing) in [
+        (None, "a", false),
+        (None, "b", true),
+        (Some("1"), "b", false),
+        (Some("1"), "c", true),
+        (Some("2"), "c", false),
+        (None, "c", true),
+    ] {
+        let expected = (nothing, format!("{}\n", value.unwrap_or("none")));
+        assert_eq!(run(value, other), expected, "{value:?} {other}");
+    }
+    // The short way does not read what it knows: a history that cannot be read would end the long way.
+    let history = sealed.path("cache/history-v1/x-default.jsonl");
+    std::fs::remove_file(&history).unwrap();
+    std::fs::create_dir(&history).unwrap();
+    assert!(run(None, "d").0, "the other variable makes no difference");
+}
+
+#[test]
+fn another_folder_takes_the_long_way() {
     let sealed = noted();
-    let mut command = sealed.command("run p.yaml");
-    command.env("SOMETHING", "else");
-    assert!(ended(command).stdout.contains(NOTHING));
-    assert_eq!(sealed.list("cache/settled-v1").len(), 1, "the latest is kept");
     std::fs::create_dir(sealed.path("below")).unwrap();
     let mut command = sealed.command("run ../p.yaml --cache ../cache");
     command.current_dir(sealed.path("below"));

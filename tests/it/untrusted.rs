@@ -4,7 +4,8 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use dril_pipe::cli::untrusted::READERS;
+use dril_pipe::cli::untrusted::{MEMO_TEXT, READERS};
+use dril_pipe::spec::{self, Memo, SourceName};
 use proptest::prelude::*;
 use proptest::test_runner::{Config, RngSeed, TestRunner};
 
@@ -40,6 +41,12 @@ fn seeds(reader: &str) -> Vec<Vec<u8>> {
     };
     let mut seeds = match reader {
         "pipeline" => [files(&root.join("tests/bad"), ".yaml"), vec![WORDS.into()]].concat(),
+        "memo" => {
+            let mut memo = Memo::default();
+            let none = &mut |_: &str| Err(std::io::Error::other("there is no file"));
+            spec::parse_remembering(MEMO_TEXT, &SourceName("p".into()), none, &mut memo).unwrap();
+            vec![memo.bytes().unwrap().split_off(32)]
+        }
         "set" => ["params.a.b=2", "axes.x=[1, 2]", "seed=3", "stage.with=!replace { a: 1 }"]
             .map(Vec::from)
             .to_vec(),

@@ -15,7 +15,7 @@ use crate::resolve::{Graph, StageIndex};
 /// A stage that runs this long gets a line; the next one after twice the time, and so on.
 const FIRST_LINE: Duration = Duration::from_secs(30);
 /// At least this often.
-const LONGEST_SILENCE: Duration = Duration::from_secs(600);
+const LONGEST_SILENCE: Duration = Duration::from_secs(300);
 
 /// When a stage began, and when its next line is due.
 struct Pace {
@@ -38,11 +38,16 @@ impl<'g> Plain<'g> {
         let Some(pace) = self.running.get_mut(&stage) else { return };
         let ran = pace.began.elapsed();
         if ran >= pace.due {
-            pace.due = (ran * 2).min(ran + LONGEST_SILENCE);
+            pace.due = next_line(ran);
             let text = format!("  {} after {}: {}", self.story.id(stage), duration(ran), reading(progress));
             Line::Out(text).print();
         }
     }
+}
+
+/// When the line after one at `ran` is due.
+fn next_line(ran: Duration) -> Duration {
+    (ran * 2).min(ran + LONGEST_SILENCE)
 }
 
 /// `512/2000 steps, score 812`.
@@ -78,5 +83,20 @@ impl Reporter for Plain<'_> {
 
     fn ended(&mut self, ending: &Ending<'_>) {
         self.story.ended(ending).into_iter().for_each(Line::print);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_of_a_long_stage_come_ever_more_rarely_but_at_least_every_five_minutes() {
+        let mut due = vec![FIRST_LINE];
+        while due.len() < 8 {
+            due.extend(due.last().copied().map(next_line));
+        }
+        let seconds: Vec<u64> = due.iter().map(Duration::as_secs).collect();
+        assert_eq!(seconds, [30, 60, 120, 240, 480, 780, 1080, 1380]);
     }
 }

@@ -1,7 +1,8 @@
 //! What may start before the first of the queue, when that one wants more threads than are free: stages that will
 //! probably be done before it could start anyway. So a stage of two threads neither leaves a thread idle while it waits
 //! for a long one, nor is it kept waiting by ever more small ones (EASY backfilling; D. Lifka, "The ANL/IBM SP
-//! scheduling system", 1995).
+//! scheduling system", 1995). Costs are guesses, so there is a bound that needs none: once the first waits for nothing but
+//! what slipped in before it, nothing more slips in.
 
 use std::time::Instant;
 
@@ -15,6 +16,9 @@ const DEPTH: usize = 64;
 #[derive(Debug, Default)]
 pub(super) struct Pace {
     running: Vec<Running>,
+    /// The stage that waits for room, and those that slipped in before it.
+    waits: Option<StageIndex>,
+    slipped: Vec<StageIndex>,
     /// Of stages that ended: their cost, and the seconds they took.
     done: (f64, f64),
 }
@@ -38,6 +42,16 @@ impl Pace {
             self.done.0 += running.cost;
             self.done.1 += running.began.elapsed().as_secs_f64();
         }
+    }
+
+    /// True where `first` waits for others than those that slipped in before it: with these over it still had no room.
+    fn waits_for_others(&mut self, first: StageIndex, free: usize, wanted: usize) -> bool {
+        if self.waits != Some(first) {
+            self.waits = Some(first);
+            self.slipped.clear();
+        }
+        let slipped = self.running.iter().filter(|running| self.slipped.contains(&running.stage));
+        free + slipped.map(|running| running.threads).sum::<usize>() < wanted
     }
 
     /// Seconds for a unit of cost, by what is done; kinds mean seconds unless they are wrong.
@@ -76,14 +90,20 @@ impl Dispatcher<'_, '_> {
         if free == 0 {
             return None;
         }
-        let until = self.pace.until_free(free, self.threads(first).min(self.budget()));
+        let wanted = self.threads(first).min(self.budget());
+        if !self.pace.waits_for_others(first, free, wanted) {
+            return None;
+        }
+        let until = self.pace.until_free(free, wanted);
         let rate = self.pace.rate();
         let (shape, graph) = (self.shape, self.shape.graph);
         let fits = |stage: StageIndex| {
             let needs = graph.stages[stage].needs;
             needs.threads.max(1) <= free && shape.order.own_cost(shape.graph, stage) * rate <= until
         };
-        self.ready.take_first(DEPTH, fits)
+        let found = self.ready.take_first(DEPTH, fits);
+        self.pace.slipped.extend(found);
+        found
     }
 
     pub(super) fn own_cost(&self, stage: StageIndex) -> f64 {
@@ -107,6 +127,23 @@ mod tests {
         assert_eq!(pace.until_free(0, 5), f64::INFINITY);
         pace.ended(StageIndex::new(1));
         assert!(pace.done.0 > 0.0 && pace.running.len() == 2);
+    }
+
+    #[test]
+    fn a_stage_that_waits_only_for_those_that_slipped_in_is_not_kept_waiting_by_more() {
+        let (long, wide, small, other) =
+            (StageIndex::new(0), StageIndex::new(1), StageIndex::new(2), StageIndex::new(3));
+        let mut pace = Pace::default();
+        pace.began(long, 1, 100.0);
+        assert!(pace.waits_for_others(wide, 1, 2));
+        pace.slipped.push(small);
+        pace.began(small, 1, 1.0);
+        // The long one still holds what the wide one wants; then only the small one does, however long it takes.
+        assert!(pace.waits_for_others(wide, 0, 2));
+        pace.ended(long);
+        assert!(!pace.waits_for_others(wide, 1, 2));
+        // For another stage everything that runs was there before.
+        assert!(pace.waits_for_others(other, 1, 2));
     }
 
     #[test]

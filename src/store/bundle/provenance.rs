@@ -21,6 +21,13 @@ const PROFILES: [(&str, &str, &str); 3] = [
     ("https://w3id.org/workflowhub/workflow-ro-crate/1.0", "Workflow RO-Crate", "1.0"),
 ];
 
+/// The profile of the pipeline file.
+const WORKFLOW: (&str, &str, &str) = (
+    "https://bioschemas.org/profiles/ComputationalWorkflow/1.0-RELEASE",
+    "Bioschemas ComputationalWorkflow",
+    "1.0-RELEASE",
+);
+
 /// What the archive holds.
 pub(super) struct Crate<'a> {
     pub run: &'a PastRun,
@@ -57,8 +64,10 @@ pub(super) fn describe(all: &Crate<'_>) -> Value {
     })
 }
 
+/// References to entities: one by itself, several as a list.
 fn ids(ids: impl IntoIterator<Item = String>) -> Value {
-    ids.into_iter().map(|id| json!({ "@id": id })).collect()
+    let mut all: Vec<Value> = ids.into_iter().map(|id| json!({ "@id": id })).collect();
+    if all.len() == 1 { all.remove(0) } else { Value::Array(all) }
 }
 
 fn descriptor() -> Value {
@@ -95,14 +104,15 @@ fn root(all: &Crate<'_>) -> Value {
 }
 
 fn workflow(all: &Crate<'_>) -> Vec<Value> {
-    if all.pipeline().is_none() {
-        return Vec::new();
-    }
+    let Some(text) = all.pipeline() else { return Vec::new() };
+    let version = format!("blake3:{}", Digest::of(text.as_bytes()));
     vec![
         json!({
             "@id": "pipeline.yaml", "@type": ["File", "SoftwareSourceCode", "ComputationalWorkflow"],
             "name": all.run.pipeline, "programmingLanguage": { "@id": "#dril-pipe-yaml" },
+            "encodingFormat": "application/yaml", "version": version, "conformsTo": { "@id": WORKFLOW.0 },
         }),
+        json!({ "@id": WORKFLOW.0, "@type": "CreativeWork", "name": WORKFLOW.1, "version": WORKFLOW.2 }),
         json!({
             "@id": "#dril-pipe-yaml", "@type": "ComputerLanguage", "name": "dril-pipe pipeline file",
             "encodingFormat": "application/yaml",
@@ -122,6 +132,7 @@ fn whole_run(all: &Crate<'_>) -> Value {
         all.records.values().flat_map(inputs).filter(|digest| !made.contains(digest)).collect();
     let mut action = json!({
         "@id": "#run", "@type": "CreateAction", "name": format!("run {}", run.id),
+        "description": format!("the run of all stages of {}, profile {}", run.pipeline, run.profile),
         "startTime": iso(run.began),
         "instrument": { "@id": if all.pipeline().is_some() { "pipeline.yaml" } else { "#engine" } },
         "object": ids(read.iter().map(|digest| at(all, digest))), "result": ids(made.iter().map(blob)),
@@ -130,7 +141,7 @@ fn whole_run(all: &Crate<'_>) -> Value {
         action["endTime"] = json!(iso(run.time(end.seconds)));
         let done = end.failed + end.skipped + end.stopped == 0;
         let status = if done { "CompletedActionStatus" } else { "FailedActionStatus" };
-        action["actionStatus"] = json!({ "@id": format!("http://schema.org/{status}") });
+        action["actionStatus"] = json!(format!("http://schema.org/{status}"));
     }
     action
 }
@@ -156,7 +167,7 @@ fn action(all: &Crate<'_>, key: &Key, record: &Record) -> Value {
         "instrument": { "@id": kind_id(&record.kind, record.revision) },
         "object": ids(read.chain(params).collect::<BTreeSet<_>>()),
         "result": ids(outputs(record).map(|digest| blob(&digest)).collect::<BTreeSet<_>>()),
-        "actionStatus": { "@id": "http://schema.org/CompletedActionStatus" },
+        "actionStatus": "http://schema.org/CompletedActionStatus",
         "description": format!("key {key}, took {:.3} s on {}", record.seconds, record.fingerprint.platform),
     });
     // What was cached was made by an earlier run, whose clock is not known here.
@@ -256,10 +267,10 @@ fn kind_id(name: &str, revision: u32) -> String {
     format!("#kind-{name}-{revision}")
 }
 
-/// A time as `2026-11-22T03:45:12Z`.
+/// A time as `2026-11-22T03:45:12+00:00`.
 fn iso(time: SystemTime) -> String {
     let seconds = time.duration_since(UNIX_EPOCH).unwrap_or_default().as_secs();
     let (year, month, day) = civil(seconds / 86_400);
     let (hour, minute, second) = (seconds / 3600 % 24, seconds / 60 % 60, seconds % 60);
-    format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}Z")
+    format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}+00:00")
 }
