@@ -6,8 +6,15 @@ use dril_pipe::{cli, kinds};
 use dril_stage_api::{Kind, Registry, RegistryError};
 
 #[cfg(feature = "stages")]
-const EXTRAS: &[cli::Extra] =
-    &[cli::Extra { name: "env", about: dril_envs::command::ABOUT, run: dril_envs::command::run }];
+const EXTRAS: &[cli::Extra] = &[cli::Extra {
+    name: "env",
+    about: dril_envs::command::ABOUT,
+    run: |args| {
+        let (folder, python) = cli::python_folders();
+        dril_envs::gymnasium::keep_python_in(dril_envs::gymnasium::PythonHome { folder, python });
+        dril_envs::command::run(args)
+    },
+}];
 #[cfg(not(feature = "stages"))]
 const EXTRAS: &[cli::Extra] = &[];
 
