@@ -9,8 +9,15 @@ use std::process::ExitCode;
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 #[cfg(feature = "stages")]
-const EXTRAS: &[cli::Extra] =
-    &[cli::Extra { name: "env", about: dril_envs::command::ABOUT, run: dril_envs::command::run }];
+const EXTRAS: &[cli::Extra] = &[cli::Extra {
+    name: "env",
+    about: dril_envs::command::ABOUT,
+    run: |args| {
+        let (folder, python) = cli::python_folders();
+        dril_envs::gymnasium::keep_python_in(dril_envs::gymnasium::PythonHome { folder, python });
+        dril_envs::command::run(args)
+    },
+}];
 #[cfg(not(feature = "stages"))]
 const EXTRAS: &[cli::Extra] = &[];
 

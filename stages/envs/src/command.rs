@@ -5,31 +5,41 @@ use std::path::Path;
 
 use dril_stage_api::Reply;
 
-use crate::check::{self, CheckError};
+use crate::check::{self, CheckError, Report};
 
 /// One line about it, for the list of commands.
-pub const ABOUT: &str = "Check the environments against recordings of the originals";
+pub const ABOUT: &str = "Check the environments against recordings of the originals, and against Gymnasium";
 
 const HELP: &str = "\
-Check the environments against recordings of the originals
+Check the environments against recordings of the originals, and against Gymnasium
 
-Usage: dril-pipe env check --traces DIR
+Usage: dril-pipe env check [--traces DIR] [--gymnasium]
 
-Replays every run of the folder and prints a table for each game: script x error, with the median and the worst over
-the seeds, the tolerance (`-`: for information) and the verdict. Takes about a minute.
+With `--traces`, replays every run of the folder; with `--gymnasium`, lands the same pilot on 500 seeds of our
+LunarLander and 500 of Gymnasium's. Prints a table for each game: script x error, with the median and the worst over
+the seeds, the tolerance (`-`: for information) and the verdict. Each takes about a minute.
 
 Options:
       --traces DIR  the folder of the recordings: car_tracks.npz and what goes with it
+      --gymnasium   play Gymnasium's own game; its Python packages are installed when first needed
   -h, --help        print this text
 
 Exit codes:
   0  every tolerance is met
   1  a tolerance is missed
   2  the command line is wrong
-  4  a recording cannot be read, or the folder has none
+  4  a recording cannot be read, the folder has none, or Gymnasium cannot be played
 ";
 
-const HINT: &str = "\n  = hint: `dril-pipe env check --traces DIR` replays the recordings of a folder";
+const HINT: &str = "\n  = hint: `dril-pipe env check --traces DIR` replays the recordings of a folder, `dril-pipe env check \
+                    --gymnasium` plays beside Gymnasium";
+
+/// What to compare with.
+#[derive(Debug, Default, PartialEq)]
+struct Originals {
+    traces: Option<OsString>,
+    gymnasium: bool,
+}
 
 /// Answers `dril-pipe env ARGS`.
 pub fn run(args: &[OsString]) -> Reply {
@@ -37,8 +47,8 @@ pub fn run(args: &[OsString]) -> Reply {
         return Reply::Done(HELP.to_owned());
     }
     match args {
-        [command, rest @ ..] if command == "check" => match traces(rest) {
-            Ok(folder) => compare(Path::new(&folder)),
+        [command, rest @ ..] if command == "check" => match originals(rest) {
+            Ok(originals) => compare(&originals),
             Err(message) => Reply::Usage(message + HINT),
         },
         [other, ..] => Reply::Usage(format!("`env` has no command `{}`{HINT}", other.display())),
@@ -46,25 +56,34 @@ pub fn run(args: &[OsString]) -> Reply {
     }
 }
 
-/// The folder of `--traces`.
-fn traces(args: &[OsString]) -> Result<OsString, String> {
-    let mut folder = None;
+fn originals(args: &[OsString]) -> Result<Originals, String> {
+    let mut originals = Originals::default();
     let mut args = args.iter();
     while let Some(arg) = args.next() {
-        let value = match arg.to_str().and_then(|text| text.strip_prefix("--traces")) {
+        if arg == "--gymnasium" {
+            originals.gymnasium = true;
+            continue;
+        }
+        let folder = match arg.to_str().and_then(|text| text.strip_prefix("--traces")) {
             Some("") => args.next().cloned().ok_or("`--traces` needs a folder")?,
             Some(rest) if rest.starts_with('=') => OsString::from(&rest[1..]),
-            _ => return Err(format!("unexpected argument `{}`, expected `--traces DIR`", arg.display())),
+            _ => {
+                let (seen, expected) = (arg.display(), "`--traces DIR` or `--gymnasium`");
+                return Err(format!("unexpected argument `{seen}`, expected {expected}"));
+            }
         };
-        if folder.replace(value).is_some() {
+        if originals.traces.replace(folder).is_some() {
             return Err("`--traces` was given twice".into());
         }
     }
-    folder.ok_or_else(|| "`env check` needs the folder of the recordings".into())
+    if originals == Originals::default() {
+        return Err("`env check` needs to know what to compare with".into());
+    }
+    Ok(originals)
 }
 
-fn compare(folder: &Path) -> Reply {
-    match check::run(folder) {
+fn compare(originals: &Originals) -> Reply {
+    match report(originals) {
         Ok(report) if report.passed() => Reply::Done(report.to_string()),
         Ok(report) => Reply::Failed(report.to_string()),
         Err(error @ CheckError::Empty { .. }) => Reply::Io(format!(
@@ -72,6 +91,17 @@ fn compare(folder: &Path) -> Reply {
         )),
         Err(error) => Reply::Io(error.to_string()),
     }
+}
+
+fn report(originals: &Originals) -> Result<Report, CheckError> {
+    let mut report = match &originals.traces {
+        Some(folder) => check::run(Path::new(folder))?,
+        None => Report::default(),
+    };
+    if originals.gymnasium {
+        check::landings(&mut report)?;
+    }
+    Ok(report)
 }
 
 #[cfg(test)]
@@ -86,7 +116,9 @@ mod tests {
     fn help_is_no_mistake_and_names_the_exit_codes() {
         for words in [&["--help"][..], &["check", "-h"], &["check", "--traces", "x", "--help"]] {
             let Reply::Done(text) = answer(words) else { panic!("{words:?}") };
-            assert!(text.contains("--traces DIR") && text.contains("  4  "), "{text}");
+            for part in ["--traces DIR", "--gymnasium", "  4  "] {
+                assert!(text.contains(part), "{text}");
+            }
         }
     }
 
@@ -95,15 +127,28 @@ mod tests {
         for (words, said) in [
             (&[][..], "needs a command"),
             (&["chekc"], "no command `chekc`"),
-            (&["check"], "needs the folder"),
+            (&["check"], "what to compare with"),
             (&["check", "--traces"], "`--traces` needs a folder"),
             (&["check", "--traces=a", "--traces", "b"], "given twice"),
             (&["check", "--trace", "a"], "unexpected argument `--trace`"),
             (&["check", "--tracesx"], "unexpected argument `--tracesx`"),
+            (&["check", "--gymnasium", "x"], "unexpected argument `x`"),
         ] {
             let Reply::Usage(text) = answer(words) else { panic!("{words:?}") };
             assert!(text.contains(said) && text.contains("= hint: "), "{text}");
         }
+    }
+
+    #[test]
+    fn recordings_and_gymnasium_may_be_asked_for_together() {
+        let read = |words: &[&str]| originals(&words.iter().map(OsString::from).collect::<Vec<_>>());
+        let traces = Some(OsString::from("a"));
+        assert_eq!(read(&["--gymnasium"]), Ok(Originals { traces: None, gymnasium: true }));
+        assert_eq!(
+            read(&["--gymnasium", "--traces=a"]),
+            Ok(Originals { traces: traces.clone(), gymnasium: true })
+        );
+        assert_eq!(read(&["--traces", "a"]), Ok(Originals { traces, gymnasium: false }));
     }
 
     #[test]

@@ -39,6 +39,14 @@ pub struct DriveParams {
     /// file: the driver is pushed off its line and shows how to get back (Laskey et al. 2017, "DART").
     #[serde(default)]
     pub noise: f64,
+    /// Steps for which a draw of the noise lasts. New draws at every step (1) cancel each other out and shake the car;
+    /// draws that last push it off its line, even off the road.
+    #[serde(default = "one")]
+    pub noise_steps: u64,
+}
+
+fn one() -> u64 {
+    1
 }
 
 fn twenty() -> u64 {
@@ -80,6 +88,7 @@ impl Describe for Drive {
             problems.add("first_track_seed", "the last track's seed is beyond 64 bits; take a smaller one");
         }
         problems.range("noise", params.noise, 0.0..=MOST_NOISE, "a number from 0 to 2");
+        problems.positive("noise_steps", params.noise_steps);
     }
 
     fn ports(_: &DriveParams) -> Ports {
@@ -108,8 +117,8 @@ impl Stage for Drive {
         for attempt in 0..params.max_attempts {
             ctx.stop_if_cancelled()?;
             let seed = ctx.seed().child(&format!("episode/{attempt}"));
-            let episode = lap(&mut env, params.first_track_seed + attempt, params.noise, seed)
-                .map_err(StageError::failed)?;
+            let episode =
+                lap(&mut env, params.first_track_seed + attempt, params, seed).map_err(StageError::failed)?;
             best = best.max(episode.score);
             if episode.score > params.above {
                 kept.push(episode);
@@ -150,10 +159,12 @@ fn header(params: &DriveParams) -> DemosHeader {
 }
 
 /// One episode; the noise comes from the stream `noise` of `seed`.
-fn lap(env: &mut CarRacing, track_seed: u64, noise: f64, seed: Seed) -> Result<Episode, EnvError> {
+fn lap(env: &mut CarRacing, track_seed: u64, params: &DriveParams, seed: Seed) -> Result<Episode, EnvError> {
     let mut stream = seed.stream("noise");
     // Its only errors are a standard deviation below 0 or not a number, which the parameters' check refuses.
-    let noise = Normal::new(0.0, noise).ok();
+    let noise = Normal::new(0.0, params.noise).ok();
+    let mut push = [0.0; 2];
+    let mut steps = 0;
     let mut episode = Episode {
         seed: track_seed,
         score: 0.0,
@@ -170,10 +181,11 @@ fn lap(env: &mut CarRacing, track_seed: u64, noise: f64, seed: Seed) -> Result<E
             episode.frames.extend_from_slice(pixels);
         }
         episode.actions.extend(action);
-        let pushed = action.map(|value| match &noise {
-            Some(noise) => (value + noise.sample(&mut stream) as f32).clamp(-1.0, 1.0),
-            None => value,
-        });
+        if let Some(noise) = noise.filter(|_| steps % params.noise_steps == 0) {
+            push = push.map(|_| noise.sample(&mut stream) as f32);
+        }
+        steps += 1;
+        let pushed = [0, 1].map(|i| (action[i] + push[i]).clamp(-1.0, 1.0));
         let step = env.step(&pushed)?;
         episode.score += step.reward;
         episode.outcome = step.outcome;
@@ -223,6 +235,26 @@ mod tests {
     }
 
     #[test]
+    fn noise_that_lasts_pushes_the_car_further_off_its_line() {
+        let laps = |steps: u64| {
+            let params = json!({
+                "env": { "car-racing": { "time_limit": 400 } }, "episodes": 3, "above": -200, "first_track_seed": 7,
+                "noise": 0.5, "noise_steps": steps
+            });
+            driven(params, 1).unwrap()
+        };
+        // The driver steers the harder, the further he is off.
+        let steering = |laps: &Demonstrations| -> f64 {
+            let steers = laps.episodes.iter().flat_map(|lap| lap.actions.chunks(2).map(|action| action[0]));
+            let (sum, count) = steers.fold((0.0, 0), |(sum, n), steer| (sum + f64::from(steer.abs()), n + 1));
+            sum / f64::from(count)
+        };
+        let (shaken, pushed) = (laps(1), laps(12));
+        assert!(steering(&pushed) > 1.5 * steering(&shaken), "{} {}", steering(&pushed), steering(&shaken));
+        assert_eq!(pushed, laps(12));
+    }
+
+    #[test]
     fn too_few_good_laps_are_an_error_that_says_what_to_change() {
         let params = json!({
             "env": { "car-racing": { "time_limit": 5 } },
@@ -238,11 +270,14 @@ mod tests {
     fn all_wrong_parameters_are_reported_at_once() {
         let params = json!({
             "env": { "car-racing": { "time_limit": 0 } },
-            "episodes": 9, "max_attempts": 3, "first_track_seed": u64::MAX, "noise": -1.0
+            "episodes": 9, "max_attempts": 3, "first_track_seed": u64::MAX, "noise": -1.0,
+            "noise_steps": 0
         });
         let problems = dril_stage_api::Kind::of::<Drive>().normalize(&params).unwrap_err();
         let mut paths: Vec<String> = problems.iter().map(|problem| problem.path.join(".")).collect();
         paths.sort();
-        assert_eq!(paths, ["env.car-racing.time_limit", "first_track_seed", "max_attempts", "noise"]);
+        let wanted =
+            ["env.car-racing.time_limit", "first_track_seed", "max_attempts", "noise", "noise_steps"];
+        assert_eq!(paths, wanted);
     }
 }

@@ -84,9 +84,11 @@ fn a_step_of_car_racing_with_picture_and_stack_allocates_only_inside_the_physics
             simulation.car_mut().step([true; 4]);
         });
         assert_eq!(whole, engine, "{version}: rules, picture or stack allocate");
-        // Four in a release build, among them the list of moved bodies (twice, as it grows), which rapier2d 0.36.1 takes and
-        // begins anew (pipeline/physics_pipeline/substep.rs), and the cursors of its workers, made in every step
-        // (dynamics/solver/staged_island_solver/sync.rs). Its debug assertions make one more.
+        // Four in a release build, all in rapier2d 0.36.1: the list of moved bodies (twice, as it grows), which it takes and
+        // begins anew (`step_inner` in pipeline/physics_pipeline/substep.rs); the joints that it looks through once a motor
+        // was set (`select_active_interactions` in dynamics/joint/impulse_joint/impulse_joint_set.rs); and the cursors of
+        // its workers (`StageSync::new` in dynamics/solver/staged_island_solver/sync.rs). docs/performance.md says why
+        // they stay. Its debug assertions make one more.
         let most = if cfg!(debug_assertions) { 5 } else { 4 };
         assert!(engine <= 200 * most, "{version}: {engine} allocations in 200 steps");
     }

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use std::process::Command;
 
 use dril_envs::car_racing::CarRacing;
+use dril_envs::check::{self, Report};
 use dril_envs::gymnasium::{self, GymnasiumConfig, PythonHome, Tracks};
 use dril_envs::{
     ActionSpace, CarRacingConfig, CarRacingVersion, Env, EnvConfig, Frame, ObservationSpace, Outcome,
@@ -171,6 +172,18 @@ fn time_limits_and_ends_are_told_apart() {
     let fall = play(crash.as_mut(), 1000, |_| vec![-1.0, 0.0]);
     assert_eq!(fall.last().unwrap().0.outcome, Outcome::Failed);
     assert_eq!(fall.last().unwrap().0.reward, -100.0);
+}
+
+#[test]
+fn a_pilot_lands_as_often_and_as_well_on_500_seeds_of_ours_as_on_500_of_gymnasium_s() {
+    python();
+    let mut report = Report::default();
+    check::landings(&mut report).unwrap();
+    let limited: Vec<_> = report.rows.iter().filter(|row| row.limit == Some(3.0)).collect();
+    assert_eq!(limited.len(), 2, "{report}");
+    assert!(report.passed(), "{report}");
+    // A pilot that never lands would be as bad in both.
+    assert!(report.rows.iter().any(|row| row.measure.contains("rate") && row.worst > 95.0), "{report}");
 }
 
 #[test]

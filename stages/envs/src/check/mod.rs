@@ -1,7 +1,8 @@
 //! Compares the games with recordings of the originals: `dril-pipe env check`.
 //!
 //! A recording folder holds numpy archives ([`Npz`]) of one or several games; a missing file leaves its part of the
-//! [`Report`] out.
+//! [`Report`] out. Where a game cannot be compared move by move, because its random draws are its own, many episodes
+//! are compared with as many that Gymnasium plays ([`landings`]).
 
 pub mod car_racing;
 pub mod lunar_lander;
@@ -12,6 +13,8 @@ use std::path::{Path, PathBuf};
 
 pub use npz::{Array, Npz};
 pub use report::{Report, Row};
+
+use crate::EnvError;
 
 /// Why recordings cannot be compared.
 #[derive(Debug, thiserror::Error)]
@@ -41,6 +44,9 @@ pub enum CheckError {
         /// Files looked for.
         expected: String,
     },
+    /// A game cannot be played: most likely the bridge to Gymnasium.
+    #[error(transparent)]
+    Env(#[from] EnvError),
 }
 
 /// Replays every recording of a folder.
@@ -69,6 +75,15 @@ pub fn run(folder: &Path) -> Result<Report, CheckError> {
             expected: [&car_racing::FILES[..], &[lunar_lander::FILE]].concat().join(", "),
         })
     }
+}
+
+/// Compares landings on many seeds with as many in Gymnasium's LunarLander, which the bridge plays now.
+///
+/// # Errors
+/// The bridge cannot play it.
+pub fn landings(report: &mut Report) -> Result<(), CheckError> {
+    report.begin("lunar-lander, beside Gymnasium");
+    lunar_lander::check_gymnasium(report)
 }
 
 /// The results of a game's runs; none where the file is not there.

@@ -46,7 +46,10 @@ pub enum GymnasiumError {
         mend: String,
     },
     /// The worker could not be started.
-    #[error("cannot start `{program}`: {message}")]
+    #[error(
+        "cannot start `{program}`: {message}; set DRIL_PIPE_PYTHON to a Python that has the packages, or leave it unset \
+             to have one made"
+    )]
     Start {
         /// The Python.
         program: PathBuf,

@@ -109,7 +109,8 @@ fn an_unknown_id_and_other_packages_are_refused_with_what_to_do() {
     let text = worker("no-packages", &fake()).unwrap_err().to_string();
     has(&text, &["no package box2d, expected box2d"]);
     let missing = Launch { program: "no-such-python".into(), ..fake() };
-    has(&worker("counter", &missing).unwrap_err().to_string(), &["cannot start `no-such-python`"]);
+    let text = worker("counter", &missing).unwrap_err().to_string();
+    has(&text, &["cannot start `no-such-python`", "set DRIL_PIPE_PYTHON", "leave it unset"]);
 }
 
 #[test]

@@ -1,12 +1,14 @@
-//! Whole flights by the pilot of the recordings: recorded ones, and many of our own against the original's averages.
+//! Whole flights by the pilot of the recordings: recorded ones, and many of our own against the original's averages,
+//! which are either known ([`check`]) or flown now by the bridge ([`check_gymnasium`]).
 
 use dril_stage_api::Seed;
 use rand::Rng;
 
 use super::{CheckError, Recordings, Report, Run, fly};
+use crate::gymnasium::GymnasiumConfig;
 use crate::lunar_lander::LunarLander;
-use crate::lunar_lander::simulation::Simulation;
-use crate::{Env, LunarLanderConfig, Outcome};
+use crate::lunar_lander::simulation::{OBSERVED, Simulation};
+use crate::{Env, EnvConfig, EnvError, Frame, LunarLanderConfig, Outcome};
 
 /// Name of the script that a pilot flies.
 const SCRIPT: &str = "heuristic";
@@ -18,9 +20,27 @@ const PATIENCE: usize = 1000;
 const SEEDS: u64 = 500;
 /// How far landing rate and mean return of own seeds may be off the original's, percent.
 const OFF: f64 = 3.0;
-/// Landings per flight, and mean return, of the same pilot in Gymnasium's LunarLander-v3 (1,000 seeds): see
-/// docs/environments.md.
-const ORIGINAL: [f64; 2] = [0.998, 282.8];
+/// The same pilot in Gymnasium's LunarLander-v3 (1,000 seeds): see docs/environments.md.
+const ORIGINAL: Landings = Landings { rate: 0.998, mean_return: 282.8 };
+/// The original as the bridge plays it.
+const GYMNASIUM: &str = "LunarLanderContinuous-v3";
+
+/// How a pilot fared.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Landings {
+    /// Landings per flight, 0 to 1.
+    pub rate: f64,
+    /// Mean sum of rewards of a flight.
+    pub mean_return: f64,
+}
+
+impl Landings {
+    /// How far the two figures are off another's, percent.
+    fn off(&self, other: &Self) -> [f64; 2] {
+        [self.rate / other.rate, self.mean_return / other.mean_return]
+            .map(|ratio| 100.0 * (ratio - 1.0).abs())
+    }
+}
 
 /// Adds rows for recorded flights, and for own seeds.
 pub fn check(recordings: &Recordings, report: &mut Report) -> Result<(), CheckError> {
@@ -37,10 +57,23 @@ pub fn check(recordings: &Recordings, report: &mut Report) -> Result<(), CheckEr
     report.add(SCRIPT, "not landed, closed loop", &missed, Some(0.0));
     report.add(SCRIPT, "return, closed loop", &returns, Some(RETURN));
     report.add(SCRIPT, "steps, closed loop", &steps, None);
-    let own = own_landings(SEEDS);
-    let off = |i: usize| 100.0 * (own[i] / ORIGINAL[i] - 1.0).abs();
-    report.add("own seeds", "landing rate off the original's, %", &[off(0)], Some(OFF));
-    report.add("own seeds", "mean return off the original's, %", &[off(1)], Some(OFF));
+    let [rate, mean_return] = own_landings(SEEDS)?.off(&ORIGINAL);
+    report.add("own seeds", "landing rate off the original's, %", &[rate], Some(OFF));
+    report.add("own seeds", "mean return off the original's, %", &[mean_return], Some(OFF));
+    Ok(())
+}
+
+/// Adds rows for as many flights in Gymnasium's own game, played by the bridge, as on our own seeds.
+pub fn check_gymnasium(report: &mut Report) -> Result<(), CheckError> {
+    let mut original = EnvConfig::Gymnasium(GymnasiumConfig::new(GYMNASIUM)).build()?;
+    let (own, original) = (own_landings(SEEDS)?, land(original.as_mut(), SEEDS)?);
+    for (whose, landings) in [("ours", own), ("Gymnasium's", original)] {
+        report.add("landings", &format!("{whose}, rate, %"), &[100.0 * landings.rate], None);
+        report.add("landings", &format!("{whose}, mean return"), &[landings.mean_return], None);
+    }
+    let [rate, mean_return] = own.off(&original);
+    report.add("landings", "rate off Gymnasium's, %", &[rate], Some(OFF));
+    report.add("landings", "mean return off Gymnasium's, %", &[mean_return], Some(OFF));
     Ok(())
 }
 
@@ -56,19 +89,41 @@ fn closed_loop(run: &Run, seed: u64, simulation: &mut Simulation) -> f64 {
     total
 }
 
-/// Landings per flight and mean return over the seeds 0, 1, ...
-pub fn own_landings(seeds: u64) -> [f64; 2] {
-    let mut env = LunarLander::new(LunarLanderConfig { time_limit: PATIENCE as u32 });
+/// The pilot's landings in our game.
+///
+/// # Errors
+/// None that is known: the pilot's actions are numbers.
+pub fn own_landings(seeds: u64) -> Result<Landings, EnvError> {
+    land(&mut LunarLander::new(LunarLanderConfig { time_limit: PATIENCE as u32 }), seeds)
+}
+
+/// The pilot's landings in a game that shows what LunarLander shows, on the seeds 0, 1, ...
+///
+/// # Errors
+/// The game's own.
+pub fn land(env: &mut dyn Env, seeds: u64) -> Result<Landings, EnvError> {
     let (mut landed, mut total) = (0, 0.0);
     for seed in 0..seeds {
-        let mut running = env.reset(seed).is_ok();
-        while running {
-            let Some(observation) = env.simulation().map(Simulation::observation) else { break };
-            let Ok(step) = env.step(&fly(observation).map(|value| value as f32)) else { break };
+        env.reset(seed)?;
+        loop {
+            let step = env.step(&fly(&seen(env)?).map(|value| value as f32))?;
             total += step.reward;
             landed += u64::from(step.outcome == Outcome::Finished);
-            running = !step.outcome.ended();
+            if step.outcome.ended() {
+                break;
+            }
         }
     }
-    [landed as f64 / seeds as f64, total / seeds as f64]
+    Ok(Landings { rate: landed as f64 / seeds as f64, mean_return: total / seeds as f64 })
+}
+
+fn seen(env: &dyn Env) -> Result<[f64; OBSERVED], EnvError> {
+    let Frame::Vector(values) = env.frame() else { return Err(not_a_lander(0)) };
+    let values: &[f32; OBSERVED] = values.try_into().map_err(|_| not_a_lander(values.len()))?;
+    Ok(values.map(f64::from))
+}
+
+fn not_a_lander(seen: usize) -> EnvError {
+    let message = format!("shows {seen} numbers, expected the {OBSERVED} of LunarLander");
+    EnvError::Config { field: "env".to_owned(), message }
 }

@@ -6,7 +6,7 @@ mod pilot;
 mod recording;
 mod start;
 
-pub use landings::own_landings;
+pub use landings::{Landings, check_gymnasium, land, own_landings};
 pub use pilot::fly;
 pub use recording::{FILE, Recordings, Run};
 
