@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use std::process::Command;
 
 use dril_envs::car_racing::CarRacing;
+use dril_envs::car_racing::driver::drive;
 use dril_envs::check::{self, Report};
 use dril_envs::gymnasium::{self, GymnasiumConfig, PythonHome, Tracks};
 use dril_envs::{
@@ -130,6 +131,31 @@ fn on_the_same_track_the_same_actions_come_to_the_same() {
             assert!(far < a.len() / 20, "{far} of {} pixels differ", a.len());
         }
     }
+}
+
+#[test]
+fn a_lap_of_ours_is_a_lap_in_gymnasium_when_its_actions_are_repeated_blindly() {
+    let rules = CarRacingConfig { version: CarRacingVersion::V3, ..CarRacingConfig::default() };
+    let mut ours = CarRacing::new(rules);
+    let seed = 4_000_002;
+    ours.reset(seed).unwrap();
+    let (mut actions, mut score, mut outcome) = (Vec::new(), 0.0, Outcome::Running);
+    while !outcome.ended() {
+        let controls = ours.simulation().map(drive).unwrap();
+        actions.push([controls.steer as f32, (controls.gas - controls.brake) as f32]);
+        let step = ours.step(actions.last().unwrap()).unwrap();
+        (score, outcome) = (score + step.reward, step.outcome);
+    }
+    assert_eq!(outcome, Outcome::Finished);
+    let mut theirs = config(json!({ "id": "CarRacing-v3", "tracks": "car-racing" })).build().unwrap();
+    theirs.reset(seed).unwrap();
+    let seen = play(theirs.as_mut(), actions.len() + 5, |t| actions[t.min(actions.len() - 1)].to_vec());
+    let (steps, their_outcome) = (seen.len(), seen.last().unwrap().0.outcome);
+    let their_score: f64 = seen.iter().map(|(step, _)| step.reward).sum();
+    let both = format!("{} steps, {score}; {steps} steps, {their_score}", actions.len());
+    assert_eq!(their_outcome, Outcome::Finished, "{both}");
+    // A centimetre at the finish may be a step.
+    assert!(steps.abs_diff(actions.len()) <= 1 && (score - their_score).abs() < 0.2, "{both}");
 }
 
 #[test]
