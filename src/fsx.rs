@@ -12,7 +12,7 @@ use std::io::{self, BufRead, Read, Seek, SeekFrom, Write};
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
-pub use dir::Dir;
+pub use dir::{Dir, rename_new};
 use fault::step;
 pub use folder::{Inside, Links, Outside, Stat, holds_at_most, outside, put, walk};
 pub use lock::Lock;

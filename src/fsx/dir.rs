@@ -1,11 +1,14 @@
-//! Looking at thousands of files in one folder, without walking the whole path to it for each of them.
+//! Looking at thousands of files in one folder, without walking the whole path to it for each of them; and putting a file
+//! where none is yet.
 
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
-use rustix::fs::{AtFlags, CWD, FileType, Mode, OFlags};
+use rustix::fs::{AtFlags, CWD, FileType, Mode, OFlags, RenameFlags};
 use rustix::io::Errno;
 
+use super::fault::step;
 use super::{Entry, FsError, Result, entry};
 
 /// A folder that is kept open once it was found. It may come into being later.
@@ -59,6 +62,36 @@ impl Dir {
     }
 }
 
+/// Moves `from` to `to` where nothing is yet, and makes the folder of `to` where that is missing: true where it was.
+/// `None` where something is there; then nothing is moved.
+///
+/// # Errors
+/// It cannot be moved.
+pub fn rename_new(from: &Path, to: &Path) -> Result<Option<bool>> {
+    step("rename", to)?;
+    let once = || match rustix::fs::renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {
+        // Not every file system knows this; a second name is as good, and then the first is one too many.
+        Err(Errno::INVAL | Errno::NOSYS) => {
+            std::fs::hard_link(from, to)?;
+            std::fs::remove_file(from)
+        }
+        result => result.map_err(Into::into),
+    };
+    let is = |error: &io::Error, kind| error.kind() == kind;
+    let (result, made) = match (once(), to.parent()) {
+        (Err(error), Some(folder)) if is(&error, io::ErrorKind::NotFound) => {
+            super::create_dir_all(folder)?;
+            (once(), true)
+        }
+        (result, _) => (result, false),
+    };
+    match result {
+        Ok(()) => Ok(Some(made)),
+        Err(error) if is(&error, io::ErrorKind::AlreadyExists) => Ok(None),
+        Err(error) => Err(FsError::at("move a file to", to)(error)),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -83,5 +116,18 @@ mod tests {
         fsx::create_dir(dir.path()).unwrap();
         fsx::write(&dir.path().join("a"), b"other").unwrap();
         assert_eq!(dir.entry("a").unwrap(), Some(Entry::File(5)));
+    }
+
+    #[test]
+    fn a_file_is_moved_only_where_nothing_is_and_its_folder_is_made() {
+        let place = tempfile::tempdir().unwrap();
+        let (from, to) = (place.path().join("from"), place.path().join("new/to"));
+        for (text, expected) in [(b"one", Some(true)), (b"two", None)] {
+            fsx::write(&from, text).unwrap();
+            assert_eq!(rename_new(&from, &to).unwrap(), expected);
+        }
+        assert_eq!((fsx::read(&to).unwrap(), fsx::read(&from).unwrap()), (b"one".to_vec(), b"two".to_vec()));
+        assert_eq!(rename_new(&from, &place.path().join("new/other")).unwrap(), Some(false));
+        assert!(rename_new(&from, &to).is_err(), "it is gone");
     }
 }

@@ -62,11 +62,21 @@ impl Store {
             Some(there) => file = there,
             None => {
                 fsx::make_read_only(&file, path)?;
-                if fsx::entry(&target)?.is_some() {
+                // Somebody else may be faster. What they put there stays: a stage may read it already, and takes another
+                // file in its place for one that was changed.
+                let made = match fsx::entry(&target)? {
+                    None => fsx::rename_new(path, &target)?,
+                    Some(_) => None,
+                };
+                if let Some(made) = made {
+                    made_folder = made;
+                } else if let Some(there) = same_content(&target, digest, bytes)? {
+                    file = there;
+                } else {
                     // What is there is broken. It is replaced only by something that will not break in turn.
                     fsx::sync(&file, path)?;
+                    made_folder = fsx::rename_into(path, &target)?;
                 }
-                made_folder = fsx::rename_into(path, &target)?;
             }
         }
         Ok(Blob { digest, bytes, file, path: target, made_folder, parts: Vec::new() })

@@ -138,3 +138,28 @@ fn a_record_gets_its_name_only_after_it_and_its_blobs_are_durable() {
         assert!(at("sync", path.parent().unwrap()) < named);
     }
 }
+
+#[test]
+fn a_content_that_several_bring_in_at_once_is_put_in_its_place_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = Store::open(&folder.path().join("cache")).unwrap();
+    let run = store.begin_run(&serde_json::json!({})).unwrap();
+    let path = folder.path().join("file");
+    for round in 0..60 {
+        let text = format!("content {round}");
+        fsx::write(&path, text.as_bytes()).unwrap();
+        let digest = Digest::of(text.as_bytes());
+        let barrier = std::sync::Barrier::new(4);
+        let bring = || {
+            barrier.wait();
+            store.import(&path, &digest, &run).unwrap();
+            fsx::stamp(&store.blob_path(&digest)).unwrap()
+        };
+        let seen: Vec<_> = std::thread::scope(|scope| {
+            let all: Vec<_> = (0..4).map(|_| scope.spawn(bring)).collect();
+            all.into_iter().map(|one| one.join().unwrap()).collect()
+        });
+        // A stage that reads the first one would take another file in its place for one that was changed.
+        assert!(seen.iter().all(|look| *look == seen[0]), "round {round}: {seen:?}");
+    }
+}
