@@ -1,5 +1,7 @@
 //! Acting: from a batch of observations to actions, and playing listed episodes several at a time.
 
+use std::collections::BTreeSet;
+
 use dril_envs::{Env, EnvConfig, EnvError, Frame, Outcome};
 use dril_stage_api::{Seed, StageError, StreamRng};
 use rand::RngExt;
@@ -108,6 +110,8 @@ pub struct Player<'a> {
     rows: Vec<Row>,
     frames: FrameStore,
     depth: usize,
+    /// Episodes of the list that are not played.
+    skipped: BTreeSet<usize>,
 }
 
 /// One row of the batch.
@@ -137,7 +141,13 @@ impl<'a> Player<'a> {
         let observation = policy.architecture().observation;
         let depth = observation.stack();
         let frames = FrameStore::with_slots(observation, WIDTH * depth);
-        Self { policy, play, seed, rows: rows.collect(), frames, depth }
+        Self { policy, play, seed, rows: rows.collect(), frames, depth, skipped: BTreeSet::new() }
+    }
+
+    /// Leaves out these episodes of the list, which were played before; the others come out as they would have. To be
+    /// called before the first step.
+    pub fn skip(&mut self, episodes: impl IntoIterator<Item = usize>) {
+        self.skipped.extend(episodes);
     }
 
     /// One step of every running episode; gives those that ended with it, in the order of the rows, or `None` once the
@@ -183,7 +193,13 @@ impl<'a> Player<'a> {
     /// Starts the row's next episode, where none is running and the list has one.
     fn start_next(&mut self, index: usize) -> Result<(), EnvError> {
         let row = &mut self.rows[index];
-        if row.episode.is_some() || row.next >= self.play.episodes {
+        if row.episode.is_some() {
+            return Ok(());
+        }
+        while self.skipped.contains(&row.next) {
+            row.next += WIDTH;
+        }
+        if row.next >= self.play.episodes {
             return Ok(());
         }
         let episode = row.next;

@@ -1,5 +1,7 @@
 //! The stage that plays the episodes of a fixed list and writes their scores.
 //!
+//! A checkpoint holds the episodes that are done; those under way begin anew, and come out the same.
+//!
 //! Every agent plays the same tracks, one episode each, whatever its length; see [`crate::act::WIDTH`] for why an
 //! episode's score does not depend on the others.
 
@@ -9,6 +11,7 @@ use dril_stage_api::scores::{self, ScoreRow};
 use dril_stage_api::{Ctx, Stage, StageError};
 
 use crate::act::{Play, Played, Player};
+use crate::checkpoint::{self, Arrays};
 use crate::fast;
 use crate::made_with;
 use crate::policy::Policy;
@@ -34,12 +37,20 @@ impl Stage for EvaluateStage {
             record: false,
         };
         let mut player = Player::new(&policy, &params.env, play, ctx.seed())?;
-        let mut rows: Vec<ScoreRow> = Vec::new();
+        let mut rows = match checkpoint::load::<Vec<ScoreRow>>(ctx.checkpoints())? {
+            Some((rows, _)) => rows,
+            None => Vec::new(),
+        };
+        player.skip(rows.iter().map(|row| row.episode));
         while rows.len() < params.episodes as usize
             && let Some(ended) = player.step()?
         {
             rows.extend(ended.iter().map(row));
             ctx.progress(rows.len() as u64, params.episodes, "episodes", || mean(&rows));
+            // Which episodes finish first is only known by playing all of them again.
+            if params.counted == Counted::Listed && ctx.checkpoint_due() {
+                checkpoint::save(ctx.checkpoints(), &rows, &Arrays::new())?;
+            }
             ctx.stop_if_cancelled()?;
         }
         scores::write(ctx.output("scores")?, &counted(rows, params))
@@ -98,6 +109,11 @@ mod tests {
     }
 
     fn play_scores(with: serde_json::Value) -> Vec<ScoreRow> {
+        play_on(with, None)
+    }
+
+    /// As after a stop, with these episodes in the checkpoint.
+    fn play_on(with: serde_json::Value, done: Option<&[ScoreRow]>) -> Vec<ScoreRow> {
         fast::prepare();
         let mut params = json!({
             "env": { "car-racing": { "time_limit": 6 } }, "mode": "stochastic", "first_track_seed": 30
@@ -108,7 +124,10 @@ mod tests {
         let architecture =
             crate::spaces::architecture(&EnvConfig::default(), PolicyFamily::Beta, None, Network::ExpertCnn);
         Policy::new(architecture.unwrap(), &mut Seed(1).stream("init")).unwrap().save(&path).unwrap();
-        let bench = bench.input("policy", &path, &[]);
+        if let Some(done) = done {
+            checkpoint::save(&bench.folder().join("checkpoints"), &done, &Arrays::new()).unwrap();
+        }
+        let bench = bench.input("policy", &path, &[]).checkpoint_seconds(0.0);
         bench.run().unwrap();
         scores::read("scores", &bench.output("scores").unwrap()).unwrap()
     }
@@ -149,5 +168,14 @@ mod tests {
             assert!(rows.iter().all(|row| row.steps == 6 && row.outcome == "time-limit"));
             assert_eq!(scores(3, mode), rows[..3]);
         }
+    }
+    #[test]
+    fn episodes_of_a_checkpoint_are_not_played_again_and_the_others_come_out_the_same() {
+        let with = json!({ "episodes": 20 });
+        let whole = play_scores(with.clone());
+        let mut done: Vec<ScoreRow> = [9, 0, 2, 10, 18].map(|at: usize| whole[at].clone()).to_vec();
+        assert_eq!(play_on(with.clone(), Some(&done)), whole);
+        done[0].score = 1234.5;
+        assert_eq!(play_on(with, Some(&done))[9].score, 1234.5);
     }
 }
