@@ -8,7 +8,8 @@ use dril_pipe::spec::{SourceName, parse};
 use dril_stage_api::{Kind, Registry};
 
 fn registry() -> Registry {
-    let kinds: Vec<Kind> = [&dril_kinds::KINDS[..], &dril_envs::KINDS, &dril_report::KINDS].concat();
+    let engine = &dril_pipe::kinds::KINDS[..];
+    let kinds: Vec<Kind> = [engine, &dril_kinds::KINDS, &dril_envs::KINDS, &dril_report::KINDS].concat();
     Registry::new(kinds).unwrap()
 }
 
