@@ -132,7 +132,9 @@ impl VecEnv {
     pub fn stagger(&mut self, steps: usize) {
         let count = self.slots.len();
         for (index, slot) in self.slots.iter_mut().enumerate() {
-            slot.cut_after = Some((steps * (index + 1) / count).max(1));
+            // As 128 bits: any number of steps may be asked for.
+            let share = steps as u128 * (index as u128 + 1) / count as u128;
+            slot.cut_after = Some((share as usize).max(1));
         }
     }
 

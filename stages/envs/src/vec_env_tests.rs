@@ -81,6 +81,13 @@ fn staggered_first_episodes_end_one_after_the_other_and_later_ones_at_the_limit(
     assert_eq!(ends(1), [(4, 4), (10, 6)]);
     assert_eq!(ends(2), [(6, 6), (12, 6)]);
     assert!(seen.iter().all(|(step, _)| !step.outcome.ended() || step.outcome == Outcome::TimeLimit));
+    envs.stagger(usize::MAX);
+    envs.reset_all(|i| i as u64).unwrap();
+    let first = play(&mut envs, 6, &mut 100);
+    assert!(
+        first[15..].iter().all(|(step, _)| step.finished.as_ref().unwrap().length == 6),
+        "nothing is cut"
+    );
 }
 
 proptest! {
