@@ -65,7 +65,7 @@ pub(super) enum Command {
     Diff(DiffArgs),
     /// Look after the store: check it, make room, see what takes room, carry results to another machine
     Cache(CacheArgs),
-    /// Print the graph of stages as DOT or Mermaid
+    /// Print the graph of stages as DOT, Mermaid or JSON
     Graph(GraphArgs),
     /// List the stage kinds, or one kind's parameters, inputs and outputs
     Kinds(KindsArgs),
@@ -218,7 +218,7 @@ pub(super) struct PlanArgs {
 pub(super) struct GraphArgs {
     #[command(flatten)]
     pub pipeline: PipelineArgs,
-    /// The language: Graphviz (pipe it into `dot -Tsvg`) or Mermaid (Markdown pages show it)
+    /// The language: Graphviz (pipe it into `dot -Tsvg`), Mermaid (Markdown pages show it), or JSON
     #[arg(short, long, value_enum, default_value_t = GraphFormat::Dot)]
     pub format: GraphFormat,
     /// One node for each stage of the file (the default)
@@ -291,6 +291,7 @@ impl ActingMode {
 pub(super) enum GraphFormat {
     Dot,
     Mermaid,
+    Json,
 }
 
 #[derive(Debug, Args)]

@@ -45,11 +45,13 @@ pub(super) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Erro
     let options = options(args, began)?;
     let mut reporter = report::choose(args, graph);
     reporter.planned(&plan, options.threads);
-    let runner = ChildRunner::this_program()
-        .map_err(|error| Error::new(ErrorKind::Io, format!("cannot find this program's file: {error}")))?;
+    let runner = runner()?;
     let stop = signals::stop_flag()?;
-    let executed = exec::execute(plan, &store, &runner, &options, &stop, &mut |event| reporter.event(event))?;
-    reading.keep();
+    let executed = std::thread::scope(|scope| {
+        // Stages are waited for anyway, and a run that is cut off has read the file, too.
+        scope.spawn(|| reading.keep());
+        exec::execute(plan, &store, &runner, &options, &stop, &mut |event| reporter.event(event))
+    })?;
     let folder = args.out.clone().unwrap_or_else(|| results::default_folder(graph));
     let place = |stage| executed.outputs(selected.place(stage)?);
     let published = results::publish(&folder, selected.all(), &store, place);
@@ -81,6 +83,11 @@ pub(super) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Erro
         code = checked::main(args, graph, &store, &runner, &options, &stop)?;
     }
     Ok(ExitCode::from(code))
+}
+
+fn runner() -> Result<ChildRunner, Error> {
+    ChildRunner::this_program()
+        .map_err(|error| Error::new(ErrorKind::Io, format!("cannot find this program's file: {error}")))
 }
 
 fn options(args: &RunArgs, began: Instant) -> Result<Options, Error> {

@@ -198,7 +198,7 @@ struct Watched<'a> {
     over: Option<Over>,
     began: Instant,
     measured: Instant,
-    /// Kills for want of memory before it was started.
+    /// Kills for want of memory before it was started, or in the second before that.
     kills: Option<u64>,
     reaped: bool,
 }
@@ -209,7 +209,7 @@ impl<'a> Watched<'a> {
         let group = group.ok_or_else(|| io::Error::other("the system gave no process number"))?;
         let now = Instant::now();
         let ended = pidfd(group);
-        let kills = memory::kills();
+        let kills = memory::kills_lately();
         Ok(Self {
             child,
             group,

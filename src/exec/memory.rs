@@ -2,6 +2,8 @@
 //! is not there, nothing is known, and no limit is enforced.
 
 use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::time::{Duration, Instant};
 
 use rustix::process::Pid;
 
@@ -53,6 +55,21 @@ pub(super) fn kills() -> Option<u64> {
     let counters = fsx::read(Path::new("/proc/vmstat")).ok()?;
     let counters = String::from_utf8_lossy(&counters);
     counters.lines().find_map(|line| line.strip_prefix("oom_kill "))?.trim().parse().ok()
+}
+
+/// As [`kills`], and at most a second old: to have the system count all that it counts takes as long as making a folder,
+/// and stages may be short.
+pub(super) fn kills_lately() -> Option<u64> {
+    static LAST: Mutex<Option<(Instant, Option<u64>)>> = Mutex::new(None);
+    let mut last = LAST.lock().ok()?;
+    match *last {
+        Some((when, kills)) if when.elapsed() < Duration::from_secs(1) => kills,
+        _ => {
+            let kills = kills();
+            *last = Some((Instant::now(), kills));
+            kills
+        }
+    }
 }
 
 #[cfg(test)]

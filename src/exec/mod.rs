@@ -13,6 +13,7 @@ mod runner;
 mod stage;
 mod warden;
 mod work;
+mod workers;
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -32,6 +33,7 @@ use crate::fsx::Lock;
 use crate::plan::{Plan, Verdict};
 use crate::resolve::StageIndex;
 use crate::store::{Key, Outputs, Run, Store, StoreError};
+use workers::Workers;
 
 /// How a plan is executed. None of it changes a result.
 #[derive(Clone, Debug)]
@@ -137,10 +139,8 @@ pub fn execute(
     let mut dispatcher = dispatch::Dispatcher::new(shape, (history, held), site, began, sink);
     std::thread::scope(|scope| {
         let (sender, receiver) = mpsc::sync_channel(256);
-        let result = dispatcher.run(steps, &receiver, stop, &mut |task| {
-            let sender = sender.clone();
-            scope.spawn(move || task.work(site, &sender));
-        });
+        let workers = Workers::new(scope, move |task: work::Task<'_>| task.work(site, &sender));
+        let result = dispatcher.run(steps, &receiver, stop, &mut |task| workers.start(task));
         // Where the dispatcher gave up, running stages are not to go on, and nobody listens to them any more.
         halt.store(true, Ordering::Relaxed);
         result

@@ -1,9 +1,10 @@
 //! Whether a stage's result is in the store: its key from the contents of its inputs, and what is there under the key.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
 use dril_stage_api::Labels;
+use rayon::prelude::*;
 
 use super::key::{NoKey, Work, WorkInput, key_of_record};
 use super::{OutsideFile, Reason};
@@ -11,6 +12,9 @@ use crate::resolve::{From, Graph, Source, StageInstance};
 use crate::store::{
     Digest, Found, History, Key, Outputs, Record, RecordInput, RecordItem, Store, StoreError,
 };
+
+/// Fewer stages than this are looked up before other threads would be ready to help.
+const MANY: usize = 200;
 
 /// The outputs of the stages that are done, by node index.
 pub type Done = [Option<Arc<Outputs>>];
@@ -92,6 +96,30 @@ pub fn look_up(
         Some(output) => Cached::No(Some(Reason::Lost { output: output.to_owned() })),
         None => Cached::Yes(outputs),
     })
+}
+
+/// Of the results that the stages had last, those that are there. Nearly all stages still have them, and to look for them
+/// is to wait for the system, which many can do at the same time; keys, which decide, are computed one after the other.
+///
+/// # Errors
+/// The store cannot be read.
+pub fn latest(
+    graph: &Graph,
+    store: &Store,
+    history: &History,
+) -> Result<HashMap<Key, Arc<Outputs>>, StoreError> {
+    let stages = graph.stages.node_weights();
+    let stages = stages.filter_map(|stage| Some((stage, *history.earlier(&stage.id).next()?)));
+    let stages: Vec<(&StageInstance, Key)> = stages.collect();
+    let look_up = |(stage, key): &(&StageInstance, Key)| match look_up(store, history, stage, key) {
+        Ok(Cached::Yes(outputs)) => Some(Ok((*key, outputs))),
+        Ok(Cached::No(_)) => None,
+        Err(error) => Some(Err(error)),
+    };
+    if stages.len() < MANY {
+        return stages.iter().filter_map(look_up).collect();
+    }
+    stages.par_iter().filter_map(look_up).collect()
 }
 
 /// What the record of a stage says of its inputs; every stage that feeds it is done.

@@ -9,7 +9,7 @@ mod lookup;
 mod order;
 mod outside;
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -193,7 +193,8 @@ pub fn plan_forced<'g>(
         Order::of(graph).map_err(|stage| PlanError::Cycle(graph.stages[stage].id.as_ref().to_owned()))?;
     let held = store.hold()?;
     let history = store.history(&graph.pipeline, &graph.profile)?;
-    let planner = Planner { graph, store, files: &files, history: &history, forced: &forced };
+    let there = lookup::latest(graph, store, &history)?;
+    let planner = Planner { graph, store, files: &files, history: &history, there, forced: &forced };
     let steps = planner.steps(&order)?;
     let mut position = vec![0; steps.len()];
     for (at, (index, _)) in steps.iter().enumerate() {
@@ -207,6 +208,8 @@ struct Planner<'a> {
     store: &'a Store,
     files: &'a BTreeMap<String, OutsideFile>,
     history: &'a History,
+    /// Results that were found already.
+    there: HashMap<Key, Arc<Outputs>>,
     forced: &'a BTreeSet<StageIndex>,
 }
 
@@ -245,6 +248,9 @@ impl Planner<'_> {
         };
         if self.forced.contains(&index) {
             return Ok(Verdict::Run { key, why: vec![Reason::Forced] });
+        }
+        if let Some(outputs) = self.there.get(&key) {
+            return Ok(Verdict::Cached { key, outputs: Arc::clone(outputs) });
         }
         match look_up(self.store, self.history, stage, &key)? {
             Cached::Yes(outputs) => Ok(Verdict::Cached { key, outputs }),

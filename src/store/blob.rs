@@ -132,18 +132,23 @@ impl Blob {
         std::iter::once(self.digest).chain(self.parts.iter().map(|(digest, _)| *digest))
     }
 
-    /// Makes the content and its name durable.
-    ///
-    /// # Errors
-    /// The disk refuses.
-    pub fn sync(&self) -> fsx::Result<()> {
+    /// Makes the contents that this one lists durable, and their names. Side by side: a disk does many at once.
+    fn sync_parts(&self) -> fsx::Result<()> {
         self.parts.par_iter().try_for_each(|(_, part)| fsx::sync(&fsx::open(part)?, part))?;
         let mut folders: Vec<&Path> = self.parts.iter().filter_map(|(_, part)| part.parent()).collect();
         folders.sort_unstable();
         folders.dedup();
         folders.par_iter().try_for_each(|folder| fsx::sync_dir(folder))?;
-        if let Some(above) = folders.first().and_then(|folder| folder.parent()) {
-            fsx::sync_dir(above)?;
+        folders.first().and_then(|folder| folder.parent()).map_or(Ok(()), fsx::sync_dir)
+    }
+
+    /// Makes the content and its name durable.
+    ///
+    /// # Errors
+    /// The disk refuses.
+    pub fn sync(&self) -> fsx::Result<()> {
+        if !self.parts.is_empty() {
+            self.sync_parts()?;
         }
         fsx::sync(&self.file, &self.path)?;
         if let Some(folder) = self.path.parent() {

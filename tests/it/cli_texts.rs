@@ -75,11 +75,12 @@ fn a_plan_as_json_has_every_stage_with_its_reasons() {
 }
 
 #[test]
-fn graphs_in_both_languages() {
+fn graphs_in_all_languages() {
     let sealed = Sealed::with(WORDS);
     let pages = [
         "graph p.yaml",
         "graph p.yaml --format mermaid",
+        "graph p.yaml --format json",
         "graph p.yaml --instances",
         "graph p.yaml -f mermaid --instances --set axes.word=[one]",
     ];

@@ -81,6 +81,9 @@ pub(in crate::cli) struct ExportArgs {
     pub out: Option<PathBuf>,
     #[command(flatten)]
     pub store: StoreArgs,
+    /// Print as JSON
+    #[arg(long)]
+    pub json: bool,
 }
 
 #[derive(Debug, Args)]

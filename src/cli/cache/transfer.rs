@@ -30,6 +30,13 @@ pub(super) fn export(args: &ExportArgs) -> Result<ExitCode, Error> {
         Some(fsx::Entry::File(bytes)) => bytes,
         _ => 0,
     };
+    if args.json {
+        let json = json!({
+            "archive": path, "run": run.id, "results": records, "contents": blobs, "bytes": bytes,
+        });
+        print(&format!("{json:#}\n"))?;
+        return Ok(ExitCode::SUCCESS);
+    }
     let (records, blobs) = (count(records, "result"), count(blobs, "content"));
     print(&format!("{}: run {} with {records} and {blobs}, {}\n", shown(&path), run.id, size(bytes)))?;
     Ok(ExitCode::SUCCESS)
