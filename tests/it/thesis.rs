@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use dril_pipe::resolve::{Choices, Graph, resolve};
-use dril_pipe::spec::{SourceName, parse};
+use dril_pipe::spec::{SourceName, Spec, parse, parse_with};
 use dril_stage_api::{Kind, Registry};
 
 fn registry() -> Registry {
@@ -21,8 +21,13 @@ fn graph(profile: &str, set: &[&str]) -> Graph {
     graph_of("thesis.yaml", profile, set)
 }
 
+fn spec_of(file: &str) -> Spec {
+    let mut load = |path: &str| Ok(text(path).into_bytes());
+    parse_with(text(file).as_bytes(), &SourceName(format!("pipelines/{file}")), &mut load).unwrap()
+}
+
 fn graph_of(file: &str, profile: &str, set: &[&str]) -> Graph {
-    let spec = parse(&text(file), &SourceName(format!("pipelines/{file}"))).unwrap();
+    let spec = spec_of(file);
     let set = set.iter().map(|set| (*set).to_owned()).collect();
     let choices = Choices { profile: Some(profile.to_owned()), set, ..Choices::default() };
     resolve(&spec, &choices, &registry()).unwrap_or_else(|said| panic!("{said}"))
@@ -38,7 +43,7 @@ fn instances(graph: &Graph) -> BTreeMap<String, usize> {
 
 #[test]
 fn the_thesis_resolves_at_every_profile() {
-    let spec = parse(&text("thesis.yaml"), &SourceName("pipelines/thesis.yaml".to_owned())).unwrap();
+    let spec = spec_of("thesis.yaml");
     let profiles: Vec<&str> = spec.profiles().collect();
     assert_eq!(profiles, ["thesis", "desk", "smoke"]);
     for (profile, seeds) in profiles.into_iter().zip([5, 1, 2]) {
@@ -67,7 +72,7 @@ fn every_pipeline_resolves_at_every_profile() {
             continue;
         }
         let file = path.file_name().unwrap().to_str().unwrap();
-        let spec = parse(&text(file), &SourceName(format!("pipelines/{file}"))).unwrap();
+        let spec = spec_of(file);
         let profiles: Vec<&str> = spec.profiles().collect();
         assert!(profiles.contains(&"smoke"), "{file} has no profile that takes minutes");
         for profile in profiles {
