@@ -119,9 +119,11 @@ impl Drawing {
         let stage =
             |found: &Node| json!({ "name": found.title, "kind": found.kind, "instances": found.size });
         let name = |number: &usize| &self.boxes[*number].title;
-        let edge = |(from, to, flow): &(usize, usize, Vec<String>)| json!({ "from": name(from), "to": name(to), "outputs": flow });
         let stages: Vec<Value> = self.boxes.iter().map(stage).collect();
-        let edges: Vec<Value> = self.arrows.iter().map(edge).collect();
+        let edges = self.arrows.iter();
+        let edges =
+            edges.map(|(from, to, flow)| json!({ "from": name(from), "to": name(to), "outputs": flow }));
+        let edges: Vec<Value> = edges.collect();
         format!("{:#}\n", json!({ "pipeline": self.title, "stages": stages, "edges": edges }))
     }
 }

@@ -100,26 +100,19 @@ pub fn look_up(
 
 /// Of the results that the stages had last, those that are there. Nearly all stages still have them, and to look for them
 /// is to wait for the system, which many can do at the same time; keys, which decide, are computed one after the other.
-///
-/// # Errors
-/// The store cannot be read.
-pub fn latest(
-    graph: &Graph,
-    store: &Store,
-    history: &History,
-) -> Result<HashMap<Key, Arc<Outputs>>, StoreError> {
+/// What cannot be looked at is left out: it matters only where a stage still has that key, and is told there.
+pub fn latest(graph: &Graph, store: &Store, history: &History) -> HashMap<Key, Arc<Outputs>> {
     let stages = graph.stages.node_weights();
     let stages = stages.filter_map(|stage| Some((stage, *history.earlier(&stage.id).next()?)));
     let stages: Vec<(&StageInstance, Key)> = stages.collect();
-    let look_up = |(stage, key): &(&StageInstance, Key)| match look_up(store, history, stage, key) {
-        Ok(Cached::Yes(outputs)) => Some(Ok((*key, outputs))),
-        Ok(Cached::No(_)) => None,
-        Err(error) => Some(Err(error)),
+    let there = |(stage, key): &(&StageInstance, Key)| match look_up(store, history, stage, key) {
+        Ok(Cached::Yes(outputs)) => Some((*key, outputs)),
+        _ => None,
     };
     if stages.len() < MANY {
-        return stages.iter().filter_map(look_up).collect();
+        return stages.iter().filter_map(there).collect();
     }
-    stages.par_iter().filter_map(look_up).collect()
+    stages.par_iter().filter_map(there).collect()
 }
 
 /// What the record of a stage says of its inputs; every stage that feeds it is done.

@@ -193,7 +193,7 @@ pub fn plan_forced<'g>(
         Order::of(graph).map_err(|stage| PlanError::Cycle(graph.stages[stage].id.as_ref().to_owned()))?;
     let held = store.hold()?;
     let history = store.history(&graph.pipeline, &graph.profile)?;
-    let there = lookup::latest(graph, store, &history)?;
+    let there = lookup::latest(graph, store, &history);
     let planner = Planner { graph, store, files: &files, history: &history, there, forced: &forced };
     let steps = planner.steps(&order)?;
     let mut position = vec![0; steps.len()];
