@@ -10,7 +10,8 @@ use dril_stage_api::StageError;
 use tch::{Device, Kind, Tensor};
 
 use crate::checkpoint::{Arrays, foreign};
-use crate::fast::{layout, memory};
+use crate::fast::{self, memory};
+use crate::kernels::layout;
 use crate::net::Observation;
 use crate::normalize::ObservationStatistics;
 
@@ -137,7 +138,12 @@ impl FrameStore {
                     }
                     Precision::Bf16 => {
                         let mut batch = Tensor::empty(shape, (Kind::BFloat16, Device::Cpu));
-                        self.gather_stacks(slots, len, memory::halves_mut(&mut batch), layout::widen_short);
+                        self.gather_stacks(
+                            slots,
+                            len,
+                            memory::halves_mut(&mut batch),
+                            fast::layout::widen_short,
+                        );
                         batch
                     }
                 }

@@ -3,7 +3,8 @@
 //! Where things are:
 //!
 //! - [`net`]: networks and their weights; [`policy`]: agents, Gaussian or Beta; [`frames`]: what they saw;
-//!   [`optim`]: Adam; [`fast`]: every trick for speed, with its reason and gain.
+//!   [`optim`]: Adam; [`kernels`]: the arithmetic of layers and optimizer;
+//!   [`fast`]: memory and threads of libtorch.
 //! - [`act`]: acting, and playing lists of episodes; [`rollout`]: gathering experience, advantages;
 //!   [`update`]: the loss of proximal policy optimisation; [`learner`]: the state of a training.
 //! - [`ppo`], [`bc`], [`ensemble`], [`dril`]: one file for each algorithm, with settings and loop;
@@ -31,6 +32,7 @@ pub mod evaluate;
 pub mod fast;
 pub mod frames;
 pub mod imitation;
+pub mod kernels;
 pub mod learner;
 pub mod log;
 pub mod made_with;

@@ -4,7 +4,8 @@ use dril_stage_api::StageError;
 use serde::{Deserialize, Serialize};
 
 use crate::checkpoint::Arrays;
-use crate::fast::{adam, memory};
+use crate::fast::memory;
+use crate::kernels::adam;
 use crate::net::{Gradients, ParamId, Parameters};
 
 /// The constants of Adam; the defaults are PyTorch's.

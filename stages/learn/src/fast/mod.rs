@@ -2,18 +2,12 @@
 //!
 //! - [`prepare`]: one thread for torch, and an allocator that keeps what it has.
 //! - [`memory`]: tensors as plain slices.
-//! - [`adam`]: the optimizer's inner loop.
-//! - [`layout`]: frames in blocks of 4×4, which make the first convolution dense.
-//! - [`conv`], [`dense`], [`activation`]: the layers and their gradients; [`vector`]: how one source serves all widths of
-//!   vectors with the same bits.
+//! - [`layout`]: the first convolution over blocks of 4×4 pixels, by libtorch.
+//!
+//! The arithmetic of the layers is in [`crate::kernels`].
 
-pub mod activation;
-pub mod adam;
-pub mod conv;
-pub mod dense;
 pub mod layout;
 pub mod memory;
-pub mod vector;
 
 use std::sync::Once;
 

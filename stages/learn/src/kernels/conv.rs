@@ -11,6 +11,7 @@
 //! - [`input_gradient`]: for each output pixel and place of the window one chain through the filters, from 0; an input
 //!   pixel adds up its chains in the order of the places in the window.
 
+use super::buffer::with_scratch;
 use super::layout;
 use super::tile::{Block, Side, add_products, in_blocks};
 use super::vector::{Kernel, LANES, Simd, lanes, lanes_mut, run};
@@ -91,12 +92,14 @@ pub fn forward(shape: &Shape, input: &[f32], weights: &[f32], bias: &[f32], outp
 /// As [`forward`], for images of bytes, which are widened one by one: the numbers of a whole minibatch would not stay in
 /// a near cache until they are needed.
 pub fn forward_bytes(shape: &Shape, input: &[u8], weights: &[f32], bias: &[f32], output: &mut [f32]) {
-    let (windows, mut numbers) = (shape.windows(), vec![0.0; shape.input_len()]);
+    let windows = shape.windows();
     let images = input.chunks_exact(shape.input_len()).zip(output.chunks_exact_mut(shape.output_len()));
-    for (image, output) in images {
-        layout::widen(image, &mut numbers);
-        run(Forward { shape, windows: &windows, input: &numbers, weights, bias, output });
-    }
+    with_scratch(shape.input_len(), |numbers| {
+        for (image, output) in images {
+            layout::widen(image, numbers);
+            run(Forward { shape, windows: &windows, input: numbers, weights, bias, output });
+        }
+    });
 }
 
 struct Forward<'a> {
@@ -196,12 +199,13 @@ pub fn add_weight_gradient(shape: &Shape, input: &[f32], gradient: &[f32], sums:
 
 /// As [`add_weight_gradient`], for images of bytes; see [`forward_bytes`].
 pub fn add_weight_gradient_bytes(shape: &Shape, input: &[u8], gradient: &[f32], sums: &mut [f32]) {
-    let mut numbers = vec![0.0; shape.input_len()];
     let images = input.chunks_exact(shape.input_len()).zip(gradient.chunks_exact(shape.output_len()));
-    for (image, gradient) in images {
-        layout::widen(image, &mut numbers);
-        run(WeightGradient { shape, input: &numbers, gradient, sums });
-    }
+    with_scratch(shape.input_len(), |numbers| {
+        for (image, gradient) in images {
+            layout::widen(image, numbers);
+            run(WeightGradient { shape, input: numbers, gradient, sums });
+        }
+    });
 }
 
 struct WeightGradient<'a> {
@@ -310,7 +314,8 @@ impl Kernel for InputGradient<'_> {
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
         let Self { shape, windows, gradient, transposed, output } = self;
-        let images = gradient.chunks_exact(shape.output_len()).zip(output.chunks_exact_mut(shape.input_len()));
+        let images =
+            gradient.chunks_exact(shape.output_len()).zip(output.chunks_exact_mut(shape.input_len()));
         // Two panels at once only where they lie in one pixel: so no two pixels of a block add to the same number, and
         // numbers add up in the same order as with one panel at once.
         let step = if S::COLUMNS == 2 && shape.channels.is_multiple_of(2 * LANES) { 2 } else { 1 };

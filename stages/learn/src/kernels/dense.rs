@@ -7,8 +7,9 @@
 //!
 //! Where a sum is cut so that its operands stay in a near cache, the chain goes on from what was stored.
 
-use super::tile::{Block, Side, add_products, in_blocks};
-use super::vector::{Kernel, LANES, Simd, lanes, lanes_mut, load_some, padded, run, store_some};
+use super::buffer::with_scratch;
+use super::tile::{Block, MOST_ROWS, Side, add_products, in_blocks};
+use super::vector::{Kernel, LANES, Simd, lanes, lanes_mut, load_some, run, store_some};
 
 /// How many inputs and outputs a layer has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,11 +24,6 @@ impl Shape {
     /// Numbers of [`panels`].
     pub fn panels_len(self) -> usize {
         self.outputs.next_multiple_of(LANES) * self.inputs
-    }
-
-    /// Inputs that fill whole vectors.
-    fn whole(self) -> usize {
-        self.inputs / LANES * LANES
     }
 }
 
@@ -124,8 +120,12 @@ impl<S: Simd, const N: usize> Block<S> for ForwardBlock<'_, N> {
     fn rows<const R: usize>(&mut self, simd: S, first: usize) {
         let Shape { inputs, outputs } = self.shape;
         let (from, len) = self.part;
-        let input =
-            Side { numbers: self.input, starts: starts_of::<R>(first * inputs + from, inputs), outer: 0, inner: 1 };
+        let input = Side {
+            numbers: self.input,
+            starts: starts_of::<R>(first * inputs + from, inputs),
+            outer: 0,
+            inner: 1,
+        };
         let weights = Side {
             numbers: self.panels,
             starts: starts_of::<N>((self.panel * inputs + from) * LANES, inputs * LANES),
@@ -191,28 +191,18 @@ fn starts_of<const N: usize>(first: usize, apart: usize) -> [usize; N] {
     starts
 }
 
-/// Vectors of 16 columns of a matrix whose rows are not whole vectors, filled up with zeros: [rows, LANES].
-fn tail(matrix: &[f32], line: usize, whole: usize) -> Vec<f32> {
-    match whole == line {
-        true => Vec::new(),
-        false => matrix.chunks_exact(line).flat_map(|row| padded(&row[whole..])).collect(),
-    }
-}
-
 /// The gradient of the weights, written over `sums`: gradientᵀ · input.
 pub fn weight_gradient(shape: Shape, input: &[f32], gradient: &[f32], sums: &mut [f32]) {
     let Shape { inputs, outputs } = shape;
     let left = Left { numbers: gradient, row: 1, step: outputs };
-    let (right, tail) = (input, tail(input, inputs, shape.whole()));
-    run(Product { left, right, tail: &tail, line: inputs, depth: input.len() / inputs, cut: WEIGHT_CUT, output: sums });
+    product(left, (input, inputs), input.len() / inputs, WEIGHT_CUT, sums);
 }
 
 /// The gradient of the input, written over `output`: gradient · weights.
 pub fn input_gradient(shape: Shape, gradient: &[f32], weights: &[f32], output: &mut [f32]) {
     let Shape { inputs, outputs } = shape;
     let left = Left { numbers: gradient, row: outputs, step: 1 };
-    let (right, tail) = (weights, tail(weights, inputs, shape.whole()));
-    run(Product { left, right, tail: &tail, line: inputs, depth: outputs, cut: INPUT_CUT, output });
+    product(left, (weights, inputs), outputs, INPUT_CUT, output);
 }
 
 /// Into which pieces a product is cut so that its operands stay in a near cache.
@@ -220,14 +210,14 @@ pub fn input_gradient(shape: Shape, gradient: &[f32], weights: &[f32], output: &
 struct Cut {
     /// Steps of a sum.
     depth: usize,
-    /// Columns that pass by before the next rows.
+    /// Columns that pass by before the next rows, whole vectors.
     columns: usize,
 }
 
-/// The columns of a whole minibatch stay near while all outputs pass by.
-const WEIGHT_CUT: Cut = Cut { depth: 256, columns: 512 };
+/// The columns of a whole minibatch stay near while all outputs pass by; results are written in long runs.
+const WEIGHT_CUT: Cut = Cut { depth: 128, columns: 512 };
 /// A few columns of some weights stay in the nearest cache while the rows of the minibatch pass by.
-const INPUT_CUT: Cut = Cut { depth: 64, columns: 2 * LANES };
+const INPUT_CUT: Cut = Cut { depth: 128, columns: 512 };
 
 /// The left matrix: the number of row r in step k is at `r · row + k · step`.
 #[derive(Clone, Copy)]
@@ -238,43 +228,143 @@ struct Left<'a> {
 }
 
 /// `output = left · right`, where `right` is [depth, line] and `output` [rows, line].
+fn product(left: Left, right: (&[f32], usize), depth: usize, cut: Cut, output: &mut [f32]) {
+    let columns = cut.columns.min(right.1.next_multiple_of(LANES));
+    let packed = cut.depth.min(depth) * columns;
+    with_scratch(packed + cut.depth * MOST_ROWS, |scratch| {
+        let (packed, turned) = scratch.split_at_mut(packed);
+        run(Product { left, right, depth, cut, packed, turned, output });
+    });
+}
+
 struct Product<'a> {
     left: Left<'a>,
-    right: &'a [f32],
-    /// The last columns of `right`; see [`tail`].
-    tail: &'a [f32],
-    line: usize,
+    /// Its numbers, and how long its rows are.
+    right: (&'a [f32], usize),
     depth: usize,
     cut: Cut,
+    /// Room for the columns of `right` that pass by.
+    packed: &'a mut [f32],
+    /// Room for rows of `left` that are columns in memory.
+    turned: &'a mut [f32],
     output: &'a mut [f32],
 }
 
 impl Kernel for Product<'_> {
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        let Self { left, right, tail, line, depth, cut, output } = self;
-        let (rows, whole) = (output.len() / line, line / LANES * LANES);
+        let Self { left, right, depth, cut, packed, turned, output } = self;
+        let line = right.1;
+        let rows = output.len() / line;
         for from in (0..depth).step_by(cut.depth) {
             let part = (from, cut.depth.min(depth - from));
-            for column in (0..whole).step_by(cut.columns) {
-                let columns = (column, whole.min(column + cut.columns));
-                let output = &mut *output;
-                let mut block = ProductBlock { left, right: (right, line, 0), line, part, columns, output };
-                in_blocks(simd, rows, &mut block);
-            }
-            if whole < line {
-                let output = &mut *output;
-                let (right, columns) = ((tail, LANES, whole), (whole, line));
-                in_blocks(simd, rows, &mut ProductBlock { left, right, line, part, columns, output });
+            for column in (0..line).step_by(cut.columns) {
+                let columns = (column, line.min(column + cut.columns));
+                pack(simd, right, part, columns, packed);
+                let tiles = rows.div_ceil(S::ROWS) * (columns.1 - columns.0).div_ceil(S::COLUMNS * LANES);
+                let ahead = Ahead::after(right, depth, (part, columns), tiles);
+                let (packed, turned, output) = (&*packed, &mut *turned, &mut *output);
+                in_blocks(
+                    simd,
+                    rows,
+                    &mut ProductBlock { left, ahead, packed, turned, line, part, columns, output },
+                );
             }
         }
     }
 }
 
-/// Rows of a product, for some columns and steps. `right`: its numbers, the length of its rows, and its first column.
+/// Vectors in the row of a block of results that begins where so many columns are left.
+#[inline(always)]
+fn vectors<S: Simd>(left: usize) -> usize {
+    if S::COLUMNS == 2 && left > LANES { 2 } else { 1 }
+}
+
+/// Copies some columns of some rows as blocks of results read them: [columns of a block] rows by row, one block after
+/// the other. Rows of the matrix are far apart, often by a multiple of what a cache holds in one place.
+#[inline(always)]
+fn pack<S: Simd>(
+    simd: S,
+    (matrix, line): (&[f32], usize),
+    (from, len): (usize, usize),
+    (first, end): (usize, usize),
+    packed: &mut [f32],
+) {
+    for (k, row) in matrix[from * line..][..len * line].chunks_exact(line).enumerate() {
+        let (mut at, row) = (0, &row[first..end]);
+        while at < row.len() {
+            let width = vectors::<S>(row.len() - at) * LANES;
+            let packed = &mut packed[at * len + k * width..][..width];
+            let row = &row[at..row.len().min(at + width)];
+            for (numbers, packed) in row.chunks(LANES).zip(packed.chunks_exact_mut(LANES)) {
+                simd.store(load_some(simd, numbers), lanes_mut(packed));
+            }
+            at += width;
+        }
+    }
+}
+
+/// What will be packed next, asked for while the multipliers are busy: it comes from a far cache or from memory, in
+/// runs too short for the processor to see what comes next.
+struct Ahead<'a> {
+    numbers: &'a [f32],
+    line: usize,
+    /// The next row and column.
+    next: (usize, usize),
+    rows_end: usize,
+    columns: (usize, usize),
+    /// Cache lines to ask for with each tile.
+    each: usize,
+}
+
+impl<'a> Ahead<'a> {
+    /// Of the block after the one of `len` rows from `from` on and the columns `first..end`, while `tiles` are computed.
+    #[inline(always)]
+    fn after(
+        (numbers, line): (&'a [f32], usize),
+        depth: usize,
+        ((from, len), (first, end)): ((usize, usize), (usize, usize)),
+        tiles: usize,
+    ) -> Self {
+        let (rows, columns) = match end < line {
+            true => ((from, from + len), (end, line.min(2 * end - first))),
+            false => ((from + len, depth.min(from + 2 * len)), (0, end - first)),
+        };
+        let lines = (rows.1 - rows.0) * (columns.1 - columns.0) / LANES;
+        Self {
+            numbers,
+            line,
+            next: (rows.0, columns.0),
+            rows_end: rows.1,
+            columns,
+            each: lines.div_ceil(tiles),
+        }
+    }
+
+    /// Asks for the next lines.
+    #[inline(always)]
+    fn advance<S: Simd>(&mut self, simd: S) {
+        let (mut row, mut column) = self.next;
+        for _ in 0..self.each {
+            if row >= self.rows_end {
+                break;
+            }
+            simd.prefetch(self.numbers, row * self.line + column);
+            column += LANES;
+            if column >= self.columns.1 {
+                (row, column) = (row + 1, self.columns.0);
+            }
+        }
+        self.next = (row, column);
+    }
+}
+
+/// Rows of a product, for some columns and steps.
 struct ProductBlock<'a> {
     left: Left<'a>,
-    right: (&'a [f32], usize, usize),
+    ahead: Ahead<'a>,
+    packed: &'a [f32],
+    turned: &'a mut [f32],
     line: usize,
     part: (usize, usize),
     columns: (usize, usize),
@@ -284,39 +374,84 @@ struct ProductBlock<'a> {
 impl<S: Simd> Block<S> for ProductBlock<'_> {
     #[inline(always)]
     fn rows<const R: usize>(&mut self, simd: S, first: usize) {
-        let (mut at, end) = self.columns;
-        while at < end {
-            if S::COLUMNS == 2 && at + 2 * LANES <= end {
-                self.tile::<S, R, 2>(simd, first, (at, 2 * LANES));
-                at += 2 * LANES;
-            } else {
-                self.tile::<S, R, 1>(simd, first, (at, LANES.min(end - at)));
-                at += LANES;
-            }
+        let Left { numbers, row, step } = self.left;
+        let (from, len) = self.part;
+        let start = first * row + from * step;
+        if row != 1 || step == 1 {
+            let left = Side { numbers, starts: starts_of::<R>(start, row), outer: 0, inner: step };
+            row_of_tiles(
+                simd,
+                first,
+                left,
+                &mut self.ahead,
+                self.packed,
+                self.line,
+                self.part,
+                self.columns,
+                self.output,
+            );
+            return;
         }
+        for (k, turned) in self.turned[..len * R].chunks_exact_mut(R).enumerate() {
+            turned.copy_from_slice(&numbers[start + k * step..][..R]);
+        }
+        let left = Side { numbers: &*self.turned, starts: starts_of::<R>(0, 1), outer: 0, inner: R };
+        row_of_tiles(
+            simd,
+            first,
+            left,
+            &mut self.ahead,
+            self.packed,
+            self.line,
+            self.part,
+            self.columns,
+            self.output,
+        );
     }
 }
 
-impl ProductBlock<'_> {
-    #[inline(always)]
-    fn tile<S: Simd, const R: usize, const N: usize>(
-        &mut self,
-        simd: S,
-        first: usize,
-        (at, used): (usize, usize),
-    ) {
-        let (from, len) = self.part;
-        let (numbers, width, column) = self.right;
-        let Left { numbers: left, row, step } = self.left;
-        let left = Side { numbers: left, starts: starts_of::<R>(first * row + from * step, row), outer: 0, inner: step };
-        let right =
-            Side { numbers, starts: starts_of::<N>(from * width + at - column, LANES), outer: 0, inner: width };
-        let place = ((first, self.line), (at, used));
-        let mut sums = [[simd.splat(0.0); N]; R];
-        if from > 0 {
-            sums = read::<S, R, N>(simd, self.output, place.0, place.1);
+#[inline(always)]
+#[allow(clippy::too_many_arguments)]
+fn row_of_tiles<S: Simd, const R: usize>(
+    simd: S,
+    first: usize,
+    left: Side<R>,
+    ahead: &mut Ahead,
+    packed: &[f32],
+    line: usize,
+    (from, len): (usize, usize),
+    (column, end): (usize, usize),
+    output: &mut [f32],
+) {
+    let mut at = column;
+    while at < end {
+        ahead.advance(simd);
+        let right = &packed[(at - column) * len..];
+        let place = ((first, line), (at, 0));
+        match vectors::<S>(end - at) {
+            2 => tile::<S, R, 2>(simd, &left, right, (from, len), place, end, output),
+            _ => tile::<S, R, 1>(simd, &left, right, (from, len), place, end, output),
         }
-        add_products(simd, &mut sums, (1, len), &left, &right);
-        write(simd, &sums, self.output, place.0, place.1);
+        at += vectors::<S>(end - at) * LANES;
     }
+}
+
+#[inline(always)]
+fn tile<S: Simd, const R: usize, const N: usize>(
+    simd: S,
+    left: &Side<R>,
+    right: &[f32],
+    (from, len): (usize, usize),
+    (rows, (at, _)): ((usize, usize), (usize, usize)),
+    end: usize,
+    output: &mut [f32],
+) {
+    let columns = (at, (end - at).min(N * LANES));
+    let right = Side { numbers: right, starts: starts_of::<N>(0, LANES), outer: 0, inner: N * LANES };
+    let mut sums = [[simd.splat(0.0); N]; R];
+    if from > 0 {
+        sums = read::<S, R, N>(simd, output, rows, columns);
+    }
+    add_products(simd, &mut sums, (1, len), left, &right);
+    write(simd, &sums, output, rows, columns);
 }

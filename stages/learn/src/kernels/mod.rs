@@ -13,6 +13,7 @@
 
 pub mod activation;
 pub mod adam;
+mod buffer;
 pub mod conv;
 pub mod dense;
 pub mod layout;
@@ -22,4 +23,5 @@ mod vector;
 #[cfg(test)]
 mod tests;
 
+pub use buffer::Buffer;
 pub use vector::{LANES, Path, forced, path, paths};

@@ -193,9 +193,7 @@ fn input_gradients(shape: &conv::Shape, weights: &[f32], gradient: &[f32]) {
         back
     });
     let mut wanted = vec![0.0; images * shape.input_len()];
-    for (gradient, wanted) in
-        gradient.chunks(shape.output_len()).zip(wanted.chunks_mut(shape.input_len()))
-    {
+    for (gradient, wanted) in gradient.chunks(shape.output_len()).zip(wanted.chunks_mut(shape.input_len())) {
         for place in 0..depth {
             for (position, gradient) in gradient.chunks(filters).enumerate() {
                 let sum = gradient
@@ -257,8 +255,7 @@ fn elementwise_functions_give_the_same_bits_on_every_path() {
         let special = [f32::NAN, f32::INFINITY, -f32::INFINITY, 0.0, -0.0, 1e-40, -1e-40];
         let odd = [odd, special.to_vec()].concat();
         let other = numbers(odd.len(), 2);
-        let with =
-            adam::Step { scale: 0.7, beta1: 0.9, beta2: 0.999, rate: 3e-3, root: 1.7, epsilon: 1e-5 };
+        let with = adam::Step { scale: 0.7, beta1: 0.9, beta2: 0.999, rate: 3e-3, root: 1.7, epsilon: 1e-5 };
         on_all_paths("elementwise", || {
             let (mut relu, mut tanh) = (odd.clone(), odd.clone());
             activation::relu(&mut relu);

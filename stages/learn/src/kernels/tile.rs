@@ -7,6 +7,9 @@
 
 use super::vector::{LANES, Simd};
 
+/// Rows of the largest block.
+pub const MOST_ROWS: usize = 12;
+
 /// What one side of the products reads: in step (o, i), at `starts + o · outer + i · inner`.
 #[derive(Clone, Copy)]
 pub struct Side<'a, const COUNT: usize> {

@@ -138,6 +138,8 @@ pub trait Simd: Copy {
     /// # Safety
     /// 16 numbers can be read at `from`.
     unsafe fn load_at(self, from: *const f32) -> Self::V;
+    /// Asks for the cache line of a number, wherever it is; a hint that changes no result.
+    fn prefetch(self, numbers: &[f32], at: usize);
     /// Bytes as numbers, 0..=255.
     fn bytes(self, from: &[u8; LANES]) -> Self::V;
     /// `a · b + c`, rounded once.

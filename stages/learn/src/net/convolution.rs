@@ -1,6 +1,6 @@
 //! A convolution of a network: between the weights as PyTorch keeps them and the panels that the kernels take.
 
-use crate::fast::{conv, layout};
+use crate::kernels::{conv, layout};
 
 /// A convolution with ReLU.
 #[derive(Clone, Debug, PartialEq)]

@@ -5,7 +5,8 @@ use tch::Tensor;
 
 use super::convolution::Convolution;
 use super::{Init, ParamId, ParamSpec, Parameters};
-use crate::fast::{conv, dense, layout};
+use crate::fast::layout;
+use crate::kernels::{conv, dense};
 
 /// What follows a layer's sum.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,4 +1,4 @@
-//! The way through a network and back with the kernels of [`crate::fast`]: what learning with 32 bits does.
+//! The way through a network and back with the kernels of [`crate::kernels`]: what learning with 32 bits does.
 //!
 //! libtorch's own graph ends where a network ends: it computes losses, and its gradients arrive here.
 
@@ -7,7 +7,8 @@ use tch::{Device, Kind, Tensor};
 use super::convolution::Convolution;
 use super::layers::{Activation, Layer, Sequential};
 use super::{ParamId, Parameters};
-use crate::fast::{activation, conv, dense, memory};
+use crate::fast::memory;
+use crate::kernels::{activation, conv, dense};
 
 /// What a batch left behind on its way through the layers of a [`Sequential`].
 #[derive(Debug)]

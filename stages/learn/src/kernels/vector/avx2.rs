@@ -1,6 +1,9 @@
 //! Vectors of AVX2 and FMA, two registers each.
 #![allow(unsafe_code)]
-#![allow(clippy::undocumented_unsafe_blocks, reason = "one reason for all: a value of `Avx2` proves AVX2 and FMA")]
+#![allow(
+    clippy::undocumented_unsafe_blocks,
+    reason = "one reason for all: a value of `Avx2` proves AVX2 and FMA"
+)]
 
 use std::arch::x86_64::*;
 
@@ -38,9 +41,12 @@ fn transpose8(r: [__m256; 8]) -> [__m256; 8] {
         // In `quads[4 g + c]`, the c-th number of each half, of the rows 4 g to 4 g + 3.
         let mut quads = r;
         for g in 0..2 {
-            let (a, b) = (_mm256_unpacklo_ps(r[4 * g], r[4 * g + 1]), _mm256_unpackhi_ps(r[4 * g], r[4 * g + 1]));
-            let (c, d) =
-                (_mm256_unpacklo_ps(r[4 * g + 2], r[4 * g + 3]), _mm256_unpackhi_ps(r[4 * g + 2], r[4 * g + 3]));
+            let (a, b) =
+                (_mm256_unpacklo_ps(r[4 * g], r[4 * g + 1]), _mm256_unpackhi_ps(r[4 * g], r[4 * g + 1]));
+            let (c, d) = (
+                _mm256_unpacklo_ps(r[4 * g + 2], r[4 * g + 3]),
+                _mm256_unpackhi_ps(r[4 * g + 2], r[4 * g + 3]),
+            );
             quads[4 * g] = ps(_mm256_unpacklo_pd(pd(a), pd(c)));
             quads[4 * g + 1] = ps(_mm256_unpackhi_pd(pd(a), pd(c)));
             quads[4 * g + 2] = ps(_mm256_unpacklo_pd(pd(b), pd(d)));
@@ -84,14 +90,15 @@ impl Simd for Avx2 {
         unsafe { [_mm256_loadu_ps(from), _mm256_loadu_ps(from.add(8))] }
     }
     #[inline(always)]
+    fn prefetch(self, numbers: &[f32], at: usize) {
+        unsafe { _mm_prefetch::<_MM_HINT_T1>(numbers.as_ptr().wrapping_add(at).cast()) }
+    }
+    #[inline(always)]
     fn bytes(self, from: &[u8; LANES]) -> V {
         unsafe {
             let bytes = _mm_loadu_si128(from.as_ptr().cast());
             let last = _mm_srli_si128::<8>(bytes);
-            [
-                _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(bytes)),
-                _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(last)),
-            ]
+            [_mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(bytes)), _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(last))]
         }
     }
     #[inline(always)]

@@ -1,6 +1,9 @@
 //! Vectors of AVX-512F.
 #![allow(unsafe_code)]
-#![allow(clippy::undocumented_unsafe_blocks, reason = "one reason for all: a value of `Avx512` proves AVX-512F")]
+#![allow(
+    clippy::undocumented_unsafe_blocks,
+    reason = "one reason for all: a value of `Avx512` proves AVX-512F"
+)]
 
 use std::arch::x86_64::*;
 
@@ -49,6 +52,10 @@ impl Simd for Avx512 {
     #[inline(always)]
     unsafe fn load_at(self, from: *const f32) -> __m512 {
         unsafe { _mm512_loadu_ps(from) }
+    }
+    #[inline(always)]
+    fn prefetch(self, numbers: &[f32], at: usize) {
+        unsafe { _mm_prefetch::<_MM_HINT_T1>(numbers.as_ptr().wrapping_add(at).cast()) }
     }
     #[inline(always)]
     fn bytes(self, from: &[u8; LANES]) -> __m512 {
@@ -103,7 +110,8 @@ impl Simd for Avx512 {
             // In `quads[4 g + c]`, the c-th number of each quarter, of the rows 4 g to 4 g + 3.
             let mut quads = r;
             for g in 0..4 {
-                let (a, b) = (_mm512_unpacklo_ps(r[4 * g], r[4 * g + 1]), _mm512_unpackhi_ps(r[4 * g], r[4 * g + 1]));
+                let (a, b) =
+                    (_mm512_unpacklo_ps(r[4 * g], r[4 * g + 1]), _mm512_unpackhi_ps(r[4 * g], r[4 * g + 1]));
                 let (c, d) = (
                     _mm512_unpacklo_ps(r[4 * g + 2], r[4 * g + 3]),
                     _mm512_unpackhi_ps(r[4 * g + 2], r[4 * g + 3]),

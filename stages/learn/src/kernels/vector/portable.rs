@@ -41,6 +41,8 @@ impl Simd for Portable {
         unsafe { from.cast::<Lanes>().read_unaligned() }
     }
     #[inline(always)]
+    fn prefetch(self, _numbers: &[f32], _at: usize) {}
+    #[inline(always)]
     fn bytes(self, from: &[u8; LANES]) -> Lanes {
         from_fn(|lane| f32::from(from[lane]))
     }
