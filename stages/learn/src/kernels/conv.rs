@@ -13,7 +13,7 @@
 
 use super::buffer::with_scratch;
 use super::layout;
-use super::tile::{Block, Side, add_products, in_blocks};
+use super::tile::{Block, Side, add_products, in_blocks, starts_of};
 use super::vector::{Kernel, LANES, Simd, lanes, lanes_mut, run};
 
 /// A convolution without padding.
@@ -172,16 +172,6 @@ impl<S: Simd, const N: usize> Block<S> for ForwardBlock<'_, N> {
             }
         }
     }
-}
-
-/// `first`, and one further `apart` for each of the others.
-#[inline(always)]
-fn starts_of<const N: usize>(first: usize, apart: usize) -> [usize; N] {
-    let mut starts = [first; N];
-    for (at, start) in starts.iter_mut().enumerate() {
-        *start += at * apart;
-    }
-    starts
 }
 
 /// Output lines whose part of the weights' gradient is one chain: about 100 pixels, which stay in the nearest cache with

@@ -8,7 +8,7 @@
 //! Where a sum is cut so that its operands stay in a near cache, the chain goes on from what was stored.
 
 use super::buffer::with_scratch;
-use super::tile::{Block, MOST_ROWS, Side, add_products, in_blocks};
+use super::tile::{Block, MOST_ROWS, Side, add_products, in_blocks, starts_of};
 use super::vector::{Kernel, LANES, Simd, lanes, lanes_mut, load_some, run, store_some};
 
 /// How many inputs and outputs a layer has.
@@ -181,16 +181,6 @@ fn write<S: Simd, const R: usize, const N: usize>(
     }
 }
 
-/// `first`, and one further `apart` for each of the others.
-#[inline(always)]
-fn starts_of<const N: usize>(first: usize, apart: usize) -> [usize; N] {
-    let mut starts = [first; N];
-    for (at, start) in starts.iter_mut().enumerate() {
-        *start += at * apart;
-    }
-    starts
-}
-
 /// The gradient of the weights, written over `sums`: gradientᵀ · input.
 pub fn weight_gradient(shape: Shape, input: &[f32], gradient: &[f32], sums: &mut [f32]) {
     let Shape { inputs, outputs } = shape;
@@ -216,7 +206,7 @@ struct Cut {
 
 /// The columns of a whole minibatch stay near while all outputs pass by; results are written in long runs.
 const WEIGHT_CUT: Cut = Cut { depth: 128, columns: 512 };
-/// A few columns of some weights stay in the nearest cache while the rows of the minibatch pass by.
+/// A block of the weights stays in the second cache while the rows of the minibatch pass by.
 const INPUT_CUT: Cut = Cut { depth: 128, columns: 512 };
 
 /// The left matrix: the number of row r in step k is at `r · row + k · step`.
@@ -229,6 +219,9 @@ struct Left<'a> {
 
 /// `output = left · right`, where `right` is [depth, line] and `output` [rows, line].
 fn product(left: Left, right: (&[f32], usize), depth: usize, cut: Cut, output: &mut [f32]) {
+    if depth == 0 {
+        return output.fill(0.0);
+    }
     let columns = cut.columns.min(right.1.next_multiple_of(LANES));
     let packed = cut.depth.min(depth) * columns;
     with_scratch(packed + cut.depth * MOST_ROWS, |scratch| {
@@ -264,11 +257,8 @@ impl Kernel for Product<'_> {
                 let tiles = rows.div_ceil(S::ROWS) * (columns.1 - columns.0).div_ceil(S::COLUMNS * LANES);
                 let ahead = Ahead::after(right, depth, (part, columns), tiles);
                 let (packed, turned, output) = (&*packed, &mut *turned, &mut *output);
-                in_blocks(
-                    simd,
-                    rows,
-                    &mut ProductBlock { left, ahead, packed, turned, line, part, columns, output },
-                );
+                let tiles = Tiles { packed, ahead, part, columns, line, output };
+                in_blocks(simd, rows, &mut ProductBlock { left, turned, tiles });
             }
         }
     }
@@ -337,7 +327,7 @@ impl<'a> Ahead<'a> {
             next: (rows.0, columns.0),
             rows_end: rows.1,
             columns,
-            each: lines.div_ceil(tiles),
+            each: lines.div_ceil(tiles.max(1)),
         }
     }
 
@@ -362,96 +352,79 @@ impl<'a> Ahead<'a> {
 /// Rows of a product, for some columns and steps.
 struct ProductBlock<'a> {
     left: Left<'a>,
-    ahead: Ahead<'a>,
-    packed: &'a [f32],
     turned: &'a mut [f32],
-    line: usize,
-    part: (usize, usize),
-    columns: (usize, usize),
-    output: &'a mut [f32],
+    tiles: Tiles<'a>,
 }
 
 impl<S: Simd> Block<S> for ProductBlock<'_> {
     #[inline(always)]
     fn rows<const R: usize>(&mut self, simd: S, first: usize) {
         let Left { numbers, row, step } = self.left;
-        let (from, len) = self.part;
+        let (from, len) = self.tiles.part;
         let start = first * row + from * step;
         if row != 1 || step == 1 {
             let left = Side { numbers, starts: starts_of::<R>(start, row), outer: 0, inner: step };
-            row_of_tiles(
-                simd,
-                first,
-                left,
-                &mut self.ahead,
-                self.packed,
-                self.line,
-                self.part,
-                self.columns,
-                self.output,
-            );
+            self.tiles.compute(simd, first, &left);
             return;
         }
         for (k, turned) in self.turned[..len * R].chunks_exact_mut(R).enumerate() {
             turned.copy_from_slice(&numbers[start + k * step..][..R]);
         }
         let left = Side { numbers: &*self.turned, starts: starts_of::<R>(0, 1), outer: 0, inner: R };
-        row_of_tiles(
-            simd,
-            first,
-            left,
-            &mut self.ahead,
-            self.packed,
-            self.line,
-            self.part,
-            self.columns,
-            self.output,
-        );
+        self.tiles.compute(simd, first, &left);
     }
 }
 
-#[inline(always)]
-#[allow(clippy::too_many_arguments)]
-fn row_of_tiles<S: Simd, const R: usize>(
-    simd: S,
-    first: usize,
-    left: Side<R>,
-    ahead: &mut Ahead,
-    packed: &[f32],
+/// What the rows of a product have in common.
+struct Tiles<'a> {
+    /// See [`pack`].
+    packed: &'a [f32],
+    ahead: Ahead<'a>,
+    /// The first step, and how many.
+    part: (usize, usize),
+    /// The first column, and the end.
+    columns: (usize, usize),
+    /// How long the rows of `output` are.
     line: usize,
-    (from, len): (usize, usize),
-    (column, end): (usize, usize),
-    output: &mut [f32],
-) {
-    let mut at = column;
-    while at < end {
-        ahead.advance(simd);
-        let right = &packed[(at - column) * len..];
-        let place = ((first, line), (at, 0));
-        match vectors::<S>(end - at) {
-            2 => tile::<S, R, 2>(simd, &left, right, (from, len), place, end, output),
-            _ => tile::<S, R, 1>(simd, &left, right, (from, len), place, end, output),
-        }
-        at += vectors::<S>(end - at) * LANES;
-    }
+    output: &'a mut [f32],
 }
 
-#[inline(always)]
-fn tile<S: Simd, const R: usize, const N: usize>(
-    simd: S,
-    left: &Side<R>,
-    right: &[f32],
-    (from, len): (usize, usize),
-    (rows, (at, _)): ((usize, usize), (usize, usize)),
-    end: usize,
-    output: &mut [f32],
-) {
-    let columns = (at, (end - at).min(N * LANES));
-    let right = Side { numbers: right, starts: starts_of::<N>(0, LANES), outer: 0, inner: N * LANES };
-    let mut sums = [[simd.splat(0.0); N]; R];
-    if from > 0 {
-        sums = read::<S, R, N>(simd, output, rows, columns);
+impl Tiles<'_> {
+    /// `R` rows from `first` on, one tile after the other.
+    #[inline(always)]
+    fn compute<S: Simd, const R: usize>(&mut self, simd: S, first: usize, left: &Side<R>) {
+        let (mut at, end) = self.columns;
+        while at < end {
+            self.ahead.advance(simd);
+            let count = vectors::<S>(end - at);
+            match count {
+                2 => self.tile::<S, R, 2>(simd, (first, at), left),
+                _ => self.tile::<S, R, 1>(simd, (first, at), left),
+            }
+            at += count * LANES;
+        }
     }
-    add_products(simd, &mut sums, (1, len), left, &right);
-    write(simd, &sums, output, rows, columns);
+
+    #[inline(always)]
+    fn tile<S: Simd, const R: usize, const N: usize>(
+        &mut self,
+        simd: S,
+        (first, at): (usize, usize),
+        left: &Side<R>,
+    ) {
+        let ((from, len), (column, end)) = (self.part, self.columns);
+        let (rows, columns) = ((first, self.line), (at, (end - at).min(N * LANES)));
+        let right = Side {
+            numbers: self.packed,
+            starts: starts_of::<N>((at - column) * len, LANES),
+            outer: 0,
+            inner: N * LANES,
+        };
+        let mut sums = [[simd.splat(0.0); N]; R];
+        if from > 0 {
+            sums = read::<S, R, N>(simd, self.output, rows, columns);
+        }
+        add_products(simd, &mut sums, (1, len), left, &right);
+        write(simd, &sums, self.output, rows, columns);
+    }
 }

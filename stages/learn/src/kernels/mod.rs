@@ -11,6 +11,11 @@
 //!
 //! Why these kernels and not a library's: docs/design/kernels.md.
 
+#![allow(
+    clippy::needless_range_loop,
+    reason = "the rows and columns of a block are numbered; loops over constants are unrolled whole"
+)]
+
 pub mod activation;
 pub mod adam;
 mod buffer;

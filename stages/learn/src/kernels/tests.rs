@@ -249,6 +249,16 @@ fn the_result_of_a_row_does_not_depend_on_the_other_rows() {
 }
 
 #[test]
+fn an_empty_batch_gives_no_rows_and_no_gradient() {
+    let shape = dense::Shape { inputs: 40, outputs: 3 };
+    let mut sums = numbers(120, 1);
+    dense::weight_gradient(shape, &[], &[], &mut sums);
+    assert!(sums.iter().all(|sum| *sum == 0.0));
+    dense::forward(shape, &[], &numbers(40 * 16, 1), &numbers(3, 2), &mut []);
+    dense::input_gradient(shape, &[], &numbers(120, 1), &mut []);
+}
+
+#[test]
 fn elementwise_functions_give_the_same_bits_on_every_path() {
     for len in [0, 1, 15, 16, 17, 1003, 4096, 9001] {
         let odd: Vec<f32> = numbers(len, 1).iter().map(|x| x * 12.0).collect();

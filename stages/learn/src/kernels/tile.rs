@@ -46,6 +46,16 @@ impl<const COUNT: usize> Side<'_, COUNT> {
     }
 }
 
+/// `first`, and one further `apart` for each of the others.
+#[inline(always)]
+pub fn starts_of<const N: usize>(first: usize, apart: usize) -> [usize; N] {
+    let mut starts = [first; N];
+    for (at, start) in starts.iter_mut().enumerate() {
+        *start += at * apart;
+    }
+    starts
+}
+
 /// `sums[r][j] += Σ a[r] · b[j]` over all steps, (0, 0), (0, 1), … (1, 0), …: one fused multiply-add for each, in order.
 #[inline(always)]
 pub fn add_products<S: Simd, const R: usize, const N: usize>(

@@ -90,8 +90,8 @@ pub trait Kernel {
 pub fn run<K: Kernel>(kernel: K) {
     match path() {
         #[cfg(target_arch = "x86_64")]
-        // SAFETY: `path` gives only paths that are supported.
         Path::Avx512 => {
+            // SAFETY: `path` gives only paths that are supported.
             let simd = unsafe { Avx512::new() };
             simd.outlined(
                 #[inline(always)]
@@ -99,8 +99,8 @@ pub fn run<K: Kernel>(kernel: K) {
             );
         }
         #[cfg(target_arch = "x86_64")]
-        // SAFETY: as above.
         Path::Avx2 => {
+            // SAFETY: `path` gives only paths that are supported.
             let simd = unsafe { Avx2::new() };
             simd.outlined(
                 #[inline(always)]
