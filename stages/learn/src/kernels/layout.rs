@@ -76,7 +76,7 @@ mod tests {
         let mut blocked = vec![0; 32];
         block_frame(&frame, (4, 8), &mut blocked);
         assert_eq!(blocked[..16], [0, 1, 2, 3, 8, 9, 10, 11, 16, 17, 18, 19, 24, 25, 26, 27]);
-        let mut spread_out = vec![0; 64];
+        let mut spread_out = [0; 64];
         spread(&blocked, &mut spread_out[16..], 32);
         assert_eq!(spread_out[16..32], blocked[..16]);
         assert_eq!(spread_out[48..], blocked[16..]);
