@@ -223,7 +223,7 @@ fn product(left: Left, right: (&[f32], usize), depth: usize, cut: Cut, output: &
         return output.fill(0.0);
     }
     let columns = cut.columns.min(right.1.next_multiple_of(LANES));
-    let packed = cut.depth.min(depth) * columns;
+    let packed = spaced(cut.depth.min(depth)) * columns;
     with_scratch(packed + cut.depth * MOST_ROWS, |scratch| {
         let (packed, turned) = scratch.split_at_mut(packed);
         run(Product { left, right, depth, cut, packed, turned, output });
@@ -270,6 +270,13 @@ fn vectors<S: Simd>(left: usize) -> usize {
     if S::COLUMNS == 2 && left > LANES { 2 } else { 1 }
 }
 
+/// Rows from the start of a packed block to the next: one more than it has, since blocks whose distance is a power of two
+/// would all be written to the same place of the nearest cache.
+#[inline(always)]
+fn spaced(len: usize) -> usize {
+    len + 1
+}
+
 /// Copies some columns of some rows as blocks of results read them: [columns of a block] rows by row, one block after
 /// the other. Rows of the matrix are far apart, often by a multiple of what a cache holds in one place.
 #[inline(always)]
@@ -284,7 +291,7 @@ fn pack<S: Simd>(
         let (mut at, row) = (0, &row[first..end]);
         while at < row.len() {
             let width = vectors::<S>(row.len() - at) * LANES;
-            let packed = &mut packed[at * len + k * width..][..width];
+            let packed = &mut packed[at * spaced(len) + k * width..][..width];
             let row = &row[at..row.len().min(at + width)];
             for (numbers, packed) in row.chunks(LANES).zip(packed.chunks_exact_mut(LANES)) {
                 simd.store(load_some(simd, numbers), lanes_mut(packed));
@@ -416,7 +423,7 @@ impl Tiles<'_> {
         let (rows, columns) = ((first, self.line), (at, (end - at).min(N * LANES)));
         let right = Side {
             numbers: self.packed,
-            starts: starts_of::<N>((at - column) * len, LANES),
+            starts: starts_of::<N>((at - column) * spaced(len), LANES),
             outer: 0,
             inner: N * LANES,
         };
