@@ -5,7 +5,7 @@
 //! - [`net`]: networks and their weights; [`policy`]: agents, Gaussian or Beta; [`frames`]: what they saw;
 //!   [`optim`]: Adam; [`fast`]: every trick for speed, with its reason and gain.
 //! - [`act`]: acting, and playing lists of episodes; [`rollout`]: gathering experience, advantages;
-//!   [`update`]: the loss of proximal policy optimisation; [`learner`]: the state of a training.
+//!   [`update`]: the loss of proximal policy optimisation; [`loss`]: the same without libtorch; [`learner`]: the state of a training.
 //! - [`ppo`], [`bc`], [`ensemble`], [`dril`]: one file for each algorithm, with settings and loop;
 //!   [`disagreement`]: the cost that DRIL learns from.
 //! - [`imitation`]: what cloning and the ensemble share; [`pairs`]: demonstrations as they learn from them;
@@ -33,6 +33,7 @@ pub mod frames;
 pub mod imitation;
 pub mod learner;
 pub mod log;
+pub mod loss;
 pub mod made_with;
 pub mod net;
 pub mod normalize;

@@ -14,7 +14,7 @@ use crate::imitation::{self, Imitator, Schedule, action_loss};
 use crate::made_with;
 use crate::net::{Gradients, ParamId, Parameters};
 use crate::pairs::Pairs;
-use crate::policy::categorical;
+use crate::policy::oracle;
 use crate::spaces::Actions;
 use crate::split::{Parts, divide, with_replacement};
 
@@ -103,7 +103,7 @@ impl Ensemble {
             Actions::Choices(count) => {
                 let answers = answers.view([-1, count as i64]);
                 let times = answers.size()[0] / actions.size()[0];
-                categorical::cross_entropy(&answers, &actions.repeat([times, 1]))
+                oracle::categorical_cross_entropy(&answers, &actions.repeat([times, 1]))
             }
         }
     }

@@ -7,6 +7,7 @@
 mod convolution;
 mod init;
 mod layers;
+pub mod orthogonal;
 mod params;
 mod pass;
 pub mod weights;

@@ -2,7 +2,7 @@
 
 use tch::Tensor;
 
-use super::{Distribution, PolicyFamily, beta};
+use super::{Distribution, PolicyFamily, oracle};
 use crate::net::{Activation, Builder, Init, LayerInit, ParamId, Parameters, Sequential};
 
 /// The layers of a head, each of which gives one parameter of the distribution.
@@ -61,9 +61,10 @@ impl Head {
             Self::Gaussian { log_std, .. } => {
                 Distribution::Gaussian { mean: output(0), log_std: params.tensor(*log_std).shallow_clone() }
             }
-            Self::Beta { .. } => {
-                Distribution::Beta { alpha: beta::shape(&output(0)), beta: beta::shape(&output(1)) }
-            }
+            Self::Beta { .. } => Distribution::Beta {
+                alpha: oracle::beta_shape(&output(0)),
+                beta: oracle::beta_shape(&output(1)),
+            },
             Self::Categorical { .. } => Distribution::Categorical { logits: output(0) },
         }
     }

