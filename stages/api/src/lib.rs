@@ -32,7 +32,7 @@ pub use error::StageError;
 pub use job::{Job, JobInput, JobOutput, Labels};
 pub use kind::{Kind, Look};
 pub use needs::Needs;
-pub use params::{ParamProblem, Problems};
+pub use params::{ParamProblem, Part, Problems};
 pub use ports::{Arity, Input, Output, Outside, Ports, port_name};
 pub use progress::{Message, Progress};
 pub use registry::{Registry, RegistryError};

@@ -1,5 +1,5 @@
 //! The `scores` artifact: one row per evaluated episode, as CSV with the columns
-//! `episode,track_seed,score,steps,outcome`.
+//! `episode,seed,score,steps,outcome`. Files of earlier versions, which call the seed `track_seed`, are read too.
 
 use std::path::Path;
 
@@ -13,8 +13,9 @@ use crate::StageError;
 pub struct ScoreRow {
     /// Position in the list of episodes, from 0.
     pub episode: usize,
-    /// The seed that names the track (or level) of the episode.
-    pub track_seed: u64,
+    /// The seed that names the episode's track, ground or level.
+    #[serde(alias = "track_seed")]
+    pub seed: u64,
     /// The sum of the environment's rewards, unmodified.
     pub score: f64,
     /// Steps acted.
@@ -61,7 +62,7 @@ mod tests {
     use super::*;
 
     fn row(episode: usize, score: f64) -> ScoreRow {
-        ScoreRow { episode, track_seed: 7, score, steps: 10, outcome: "finished".into() }
+        ScoreRow { episode, seed: 7, score, steps: 10, outcome: "finished".into() }
     }
 
     #[test]
@@ -74,14 +75,25 @@ mod tests {
     }
 
     #[test]
+    fn scores_of_earlier_versions_are_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scores.csv");
+        std::fs::write(&path, "episode,track_seed,score,steps,outcome\n0,7,1.5,10,finished\n").unwrap();
+        assert_eq!(read("scores", &path).unwrap(), [row(0, 1.5)]);
+        write(&path, &[row(0, 1.5)]).unwrap();
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert_eq!(text, "episode,seed,score,steps,outcome\n0,7,1.5,10,finished\n");
+    }
+
+    #[test]
     fn an_empty_a_foreign_and_a_broken_file_are_refused_with_the_reason() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("scores.csv");
         for (text, part) in [
             ("", "has no episode"),
-            ("episode,track_seed,score,steps,outcome\n", "has no episode"),
+            ("episode,seed,score,steps,outcome\n", "has no episode"),
             ("a,b\n1,2\n", "not a table of scores"),
-            ("episode,track_seed,score,steps,outcome\n0,1,NaN,3,finished\n", "expected a number"),
+            ("episode,seed,score,steps,outcome\n0,1,NaN,3,finished\n", "expected a number"),
         ] {
             std::fs::write(&path, text).unwrap();
             let message = read("scores", &path).unwrap_err().to_string();
