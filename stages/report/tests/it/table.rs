@@ -10,7 +10,7 @@ use crate::fakes::{self, output, reference, spread};
 const KEYS: [&str; 5] = ["expert", "method", "mode", "policy", "demonstrations"];
 
 fn params(title: &str, columns: &[&str]) -> Value {
-    json!({"title": title, "profile": "thesis", "keys": KEYS, "columns": columns})
+    json!({"title": title, "profile": "thesis", "full_profile": "thesis", "reference_name": "thesis", "keys": KEYS, "columns": columns})
 }
 
 /// A table of the evaluations whose labels include `part`; each cell is off the thesis's by a little of its own.
@@ -106,7 +106,7 @@ fn two_runs_give_the_same_bytes() {
 
 #[test]
 fn rows_and_columns_keep_the_order_of_the_input_and_not_the_alphabet() {
-    let with = json!({"title": "T", "profile": "thesis", "keys": ["row", "column"], "columns": ["column"]});
+    let with = json!({"title": "T", "profile": "full", "keys": ["row", "column"], "columns": ["column"]});
     let mut bench = Bench::new::<Table>(&with, 0).unwrap();
     for (n, labels) in [("z", "20"), ("z", "3"), ("a", "100"), ("a", "20"), ("m", "3")].iter().enumerate() {
         let path = fakes::scores(&bench, &n.to_string(), &[n as f64]);
@@ -119,7 +119,7 @@ fn rows_and_columns_keep_the_order_of_the_input_and_not_the_alphabet() {
 
 #[test]
 fn evaluations_that_differ_outside_the_keys_are_pooled_and_the_table_says_so() {
-    let with = json!({"title": "Pooled", "profile": "thesis", "keys": ["policy"]});
+    let with = json!({"title": "Pooled", "profile": "full", "keys": ["policy"]});
     let mut bench = Bench::new::<Table>(&with, 0).unwrap();
     for (name, policy, seed, values) in [
         ("a", "beta", "1", vec![10.0, 20.0]),
@@ -137,7 +137,7 @@ fn evaluations_that_differ_outside_the_keys_are_pooled_and_the_table_says_so() {
 
 #[test]
 fn a_reference_may_know_more_or_fewer_cells_than_the_run() {
-    let with = json!({"title": "T", "profile": "thesis", "keys": ["policy"], "columns": ["policy"]});
+    let with = json!({"title": "T", "profile": "full", "keys": ["policy"], "columns": ["policy"]});
     let mut bench = Bench::new::<Table>(&with, 0).unwrap();
     for policy in ["beta", "gaussian", "uniform"] {
         let path = fakes::scores(&bench, policy, &[1.0, 2.0]);
@@ -153,7 +153,7 @@ fn a_reference_may_know_more_or_fewer_cells_than_the_run() {
 
 #[test]
 fn labels_with_commas_quotes_and_bars_survive_both_formats() {
-    let with = json!({"title": "a|b", "profile": "thesis", "keys": ["lr, decay", "policy"]});
+    let with = json!({"title": "a|b", "profile": "full", "keys": ["lr, decay", "policy"]});
     let bench = Bench::new::<Table>(&with, 0).unwrap();
     let path = fakes::scores(&bench, "a", &[1.0]);
     let bench = bench.input("scores", &path, &[("lr, decay", "1e-3, \"fast\""), ("policy", "a|b")]);
@@ -206,9 +206,9 @@ fn files_that_hold_no_scores_are_refused() {
 
 #[test]
 fn a_reference_without_a_key_names_the_columns_seen_and_expected() {
-    let bench = table(&json!({"title": "T", "profile": "thesis", "keys": ["expert", "polcy"]}), &[]);
+    let bench = table(&json!({"title": "T", "profile": "full", "keys": ["expert", "polcy"]}), &[]);
     assert!(failure(&bench).contains("has no label `polcy`"), "the evaluations are read first");
-    let with = json!({"title": "T", "profile": "thesis", "keys": ["expert", "seed"]});
+    let with = json!({"title": "T", "profile": "full", "keys": ["expert", "seed"]});
     let bench = Bench::new::<Table>(&with, 0).unwrap();
     let path = fakes::scores(&bench, "a", &[1.0]);
     let bench = bench.input("scores", &path, &[("expert", "clipped"), ("seed", "1")]);
@@ -246,6 +246,11 @@ fn all_wrong_parameters_are_reported_at_once() {
         "columns.2: `mode` is in `columns` twice, expected it once",
     ];
     assert_eq!(found, expected);
+    for name in ["", "a\nb", "this run"] {
+        let with = json!({"title": "T", "profile": "p", "keys": ["mode"], "reference_name": name});
+        let problems = Kind::of::<Table>().normalize(&with).unwrap_err();
+        assert_eq!(problems[0].path, ["reference_name"], "{name:?}");
+    }
     let problems =
         Kind::of::<Table>().normalize(&json!({"title": "T", "profile": "p", "keys": []})).unwrap_err();
     assert_eq!(problems[0].message, "`keys` is empty, expected at least one label");
