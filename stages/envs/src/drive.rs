@@ -66,7 +66,7 @@ const MOST_NOISE: f64 = 2.0;
 
 impl Describe for Drive {
     const KIND: &'static str = "drive";
-    const REVISION: u32 = 2;
+    const REVISION: u32 = 3;
     const ABOUT: &'static str = "records laps of CarRacing's scripted driver that score above a threshold";
     type Params = DriveParams;
 
