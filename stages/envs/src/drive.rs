@@ -2,8 +2,7 @@
 //!
 //! The driver knows the track ahead, which no policy sees: what it does is a target to imitate, not a competitor.
 
-use dril_stage_api::{Artifact, Ctx, Describe, Needs, Ports, Problems, Seed, Stage, StageError};
-use rand_distr::{Distribution, Normal};
+use dril_stage_api::{Artifact, Ctx, Describe, Needs, Ports, Problems, Seed, Stage, StageError, draw};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -161,8 +160,6 @@ fn header(params: &DriveParams) -> DemosHeader {
 /// One episode; the noise comes from the stream `noise` of `seed`.
 fn lap(env: &mut CarRacing, track_seed: u64, params: &DriveParams, seed: Seed) -> Result<Episode, EnvError> {
     let mut stream = seed.stream("noise");
-    // Its only errors are a standard deviation below 0 or not a number, which the parameters' check refuses.
-    let noise = Normal::new(0.0, params.noise).ok();
     let mut push = [0.0; 2];
     let mut steps = 0;
     let mut episode = Episode {
@@ -181,8 +178,8 @@ fn lap(env: &mut CarRacing, track_seed: u64, params: &DriveParams, seed: Seed) -
             episode.frames.extend_from_slice(pixels);
         }
         episode.actions.extend(action);
-        if let Some(noise) = noise.filter(|_| steps % params.noise_steps == 0) {
-            push = push.map(|_| noise.sample(&mut stream) as f32);
+        if steps % params.noise_steps == 0 {
+            push = push.map(|_| (params.noise * draw::normal(&mut stream)) as f32);
         }
         steps += 1;
         let pushed = [0, 1].map(|i| (action[i] + push[i]).clamp(-1.0, 1.0));

@@ -3,6 +3,7 @@
 //! Nothing collides in this game, so the engine holds no collision shapes: which tiles a wheel touches is decided by
 //! [`super::tiles`]. The engine solves velocities; [`super::positions`] makes positions of them.
 
+use dril_stage_api::math;
 use rapier2d::prelude::{
     GenericJoint, ImpulseJointHandle, IntegrationParameters, JointAxis, MassProperties, PhysicsWorld,
     Pose as Isometry, RevoluteJointBuilder, RigidBody, RigidBodyBuilder, RigidBodyHandle, Rotation, Vector,
@@ -34,7 +35,7 @@ pub struct Motion {
 
 impl Motion {
     fn new(pose: &Pose, velocity: &Velocity) -> Self {
-        let (sin, cos) = f64::from(pose.angle).sin_cos();
+        let (sin, cos) = math::sin_cos(f64::from(pose.angle));
         Self {
             position: [f64::from(pose.x), f64::from(pose.y)],
             cos_sin: [cos, sin],
