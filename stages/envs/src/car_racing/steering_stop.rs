@@ -152,7 +152,8 @@ mod tests {
         let (mut left, mut right) = (SteeringStop::default(), SteeringStop::default());
         for speed in [0.3, 1.0, 0.0, -0.2, -0.5, -0.9, 0.1] {
             assert_eq!(left.joint_speed(1.0, speed, 0.1), -right.joint_speed(-1.0, -speed, -0.1));
-            (left.end_step(0.01), right.end_step(-0.01));
+            left.end_step(0.01);
+            right.end_step(-0.01);
             assert_eq!(left.hold(), right.hold());
         }
     }
