@@ -4,13 +4,10 @@
     cargo bench -p dril-learn --bench training --no-run          # prints the path of OURS
     v/bin/python benches/peers/training.py OURS [rounds]
 
-A round runs each case with PyTorch as `pip` installs it (eager, fused Adam, its own allocator) on two threads and on
-one, and then two processes of ours with one thread each. Printed are medians over the rounds.
-bf16 is left out where the processor has no instructions for it.
-
-On an idle machine compare samples per second of the clock. On a busy one the clock measures the neighbours; then
-compare samples per second of processor time, with PyTorch on ONE thread doubled: two threads of it are never more than
-twice as fast as one, so our ratio to that is a lower bound, and threads that wait for each other do not enter.
+A round runs each case with PyTorch as `pip` installs it (eager, fused Adam, its own allocator) on one thread, and then
+with ours on each path of its kernels. Printed are medians over the rounds of samples per second of processor time, so
+that work beside it does not enter. (Two processes on one thread each lose nothing against one thread, and two threads of
+PyTorch are never more than twice as fast as one.)
 """
 
 import json
@@ -20,9 +17,6 @@ import subprocess
 import sys
 import time
 
-# Without these instructions 16-bit numbers are emulated, at a tenth of the speed.
-SHORT = "avx512_bf16" in open("/proc/cpuinfo").read()
-
 CASES = {
     # name: (our words, PyTorch's network, batch)
     "ppo, minibatch 64": (["ppo", "dril-cnn", "64"], "ppo", 64),
@@ -31,7 +25,7 @@ CASES = {
 
 
 def torch_step(kind, batch):
-    """One training step of the network that `stages/learn/src/net` calls `dril-cnn`, in plain PyTorch."""
+    """One training step of the network that `stages/learn/src/nn` calls `dril-cnn`, in plain PyTorch."""
     import torch
     from torch import nn
 
@@ -80,68 +74,49 @@ def torch_step(kind, batch):
     return step
 
 
-def torch_child(kind, batch, threads):
+def torch_child(kind, batch):
     import torch
 
-    torch.set_num_threads(threads)
+    torch.set_num_threads(1)
     step = torch_step(kind, batch)
     for _ in range(5):
         step()
-    best = {"per_cpu_second": 0.0, "per_second": 0.0}
+    best = 0.0
     for _ in range(5):
-        clock, cpu, steps = time.perf_counter(), time.process_time(), 0
-        while time.process_time() - cpu < 0.6 * threads:
+        cpu, steps = time.process_time(), 0
+        while time.process_time() - cpu < 0.6:
             step()
             steps += 1
-        done = steps * batch
-        best["per_cpu_second"] = max(best["per_cpu_second"], done / (time.process_time() - cpu))
-        best["per_second"] = max(best["per_second"], done / (time.perf_counter() - clock))
-    print(json.dumps(best))
+        best = max(best, steps * batch / (time.process_time() - cpu))
+    print(best)
 
 
-def peer(kind, batch, threads):
-    command = [sys.executable, __file__, "--torch", kind, str(batch), str(threads)]
-    environment = dict(os.environ, OMP_NUM_THREADS=str(threads))
-    return json.loads(subprocess.run(command, env=environment, capture_output=True, check=True).stdout)
+def peer(kind, batch):
+    command = [sys.executable, __file__, "--torch", kind, str(batch)]
+    environment = dict(os.environ, OMP_NUM_THREADS="1")
+    return float(subprocess.run(command, env=environment, capture_output=True, check=True).stdout)
 
 
-def ours(program, words, precision):
-    """Two processes side by side, one thread each: their sum."""
-    command = [program, "--json", precision, *words]
-    both = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(2)]
-    said = [json.loads(process.communicate()[0].splitlines()[0]) for process in both]
-    return {key: sum(one[key] for one in said) for key in ("per_cpu_second", "per_second")}
+def ours(program, words):
+    """Samples per second of processor time, by path."""
+    said = subprocess.run([program, "--json", *words], capture_output=True, check=True, text=True).stdout
+    return {line["path"]: line["per_cpu_second"] for line in map(json.loads, said.splitlines())}
 
 
 def main():
     if sys.argv[1] == "--torch":
-        return torch_child(sys.argv[2], int(sys.argv[3]), int(sys.argv[4]))
+        return torch_child(sys.argv[2], int(sys.argv[3]))
     program, rounds = sys.argv[1], int(sys.argv[2]) if len(sys.argv) > 2 else 3
     for name, (words, kind, batch) in CASES.items():
         seen = {}
         for _ in range(rounds):
-            turns = {
-                "PyTorch, 2 threads": lambda: peer(kind, batch, 2),
-                "PyTorch, 1 thread": lambda: peer(kind, batch, 1),
-                "ours fp32, 2 processes": lambda: ours(program, words, "fp32"),
-                "ours bf16, 2 processes": lambda: ours(program, words, "bf16"),
-            }
-            if not SHORT:
-                del turns["ours bf16, 2 processes"]
-            for who, run in turns.items():
-                seen.setdefault(who, []).append(run())
-        median = lambda who, key: statistics.median(run[key] for run in seen[who])
+            seen.setdefault("PyTorch", []).append(peer(kind, batch))
+            for path, rate in ours(program, words).items():
+                seen.setdefault(f"ours, {path}", []).append(rate)
+        median = {who: statistics.median(rates) for who, rates in seen.items()}
         print(f"\n{name} (load {os.getloadavg()[0]:.1f})")
-        print(f"{'':<26}{'/s of the clock':>16}{'ratio':>8}{'/s of 2 CPUs':>14}{'ratio':>8}")
-        clock, cpu = median("PyTorch, 2 threads", "per_second"), 2 * median("PyTorch, 1 thread", "per_cpu_second")
-        for who in seen:
-            own, own_cpu = median(who, "per_second"), median(who, "per_cpu_second")
-            if who == "PyTorch, 1 thread":
-                own, own_cpu = 2 * own, 2 * own_cpu
-                who += ", doubled"
-            elif who == "PyTorch, 2 threads":
-                own_cpu *= 2
-            print(f"{who:<26}{own:>16.0f}{own / clock:>8.2f}{own_cpu:>14.0f}{own_cpu / cpu:>8.2f}")
+        for who, rate in median.items():
+            print(f"{who:<16}{rate:>10.0f} samples per CPU-second{rate / median['PyTorch']:>8.2f}")
 
 
 main()

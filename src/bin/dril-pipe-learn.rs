@@ -10,7 +10,7 @@ use dril_stage_api::{Registry, RegistryError};
 const SERVICES: [Extra; 1] = [Extra {
     name: "__replay",
     about: "a film of an episode",
-    run: |args| dril_learn::replay::command(args).into(),
+    run: |args| dril_learn::play::replay::command(args).into(),
 }];
 
 fn main() -> Result<ExitCode, RegistryError> {

@@ -96,7 +96,7 @@ pub(super) struct PipelineArgs {
     /// The profile to run; without it, the first one of the file
     #[arg(short, long, value_name = "NAME")]
     profile: Option<String>,
-    /// Change a value, as in `--set dril.total_steps=100000`; may be given several times
+    /// Change a value, as in `--set dril.total_timesteps=98304`; may be given several times
     #[arg(short, long, value_name = "PATH=VALUE")]
     set: Vec<String>,
 }

@@ -117,7 +117,7 @@ pub enum Reason {
     Forced,
     /// A parameter has another value; `path` dotted, values as JSON, `None` where absent.
     Param {
-        /// Where, as `total_steps` or `env.car-racing.time_limit`.
+        /// Where, as `total_timesteps` or `env.car-racing.time_limit`.
         path: String,
         /// Then.
         old: Option<String>,

@@ -170,7 +170,7 @@ fn sweep(
     if !is_stage || keys.len() < 2 || !names::is_identifier(&last.text) {
         problems.add(|| {
             Problem::new(at, format!("found several values for `{}`, expected one", first.text))
-                .hint("several can be given for a field of a stage, as in `--set dril.total_steps=1000,2000`, and for an axis")
+                .hint("several can be given for a field of a stage, as in `--set dril.total_timesteps=8192,16384`, and for an axis")
                 .hint("a text with commas is written in quotes, a list in brackets")
         });
         return None;
@@ -199,7 +199,7 @@ fn assignment(argument: &str, source: u16, problems: &mut Problems) -> Option<(V
     let Some((path, value)) = argument.split_once('=') else {
         problems.add(|| {
             Problem::new(Span::new(source, 0..argument.len()), "found no `=`, expected `name.field=value`")
-                .hint("as in `--set dril.total_steps=100000` or `--set seed=3`")
+                .hint("as in `--set dril.total_timesteps=98304` or `--set seed=3`")
         });
         return None;
     };
@@ -238,7 +238,7 @@ fn keys(path: &str, source: u16, problems: &mut Problems) -> Option<Vec<Key>> {
                     span,
                     "found an empty or spaced name, expected names with `.` between them and then `=`",
                 )
-                .hint("as in `--set dril.total_steps=100000`, without spaces before the `=`")
+                .hint("as in `--set dril.total_timesteps=98304`, without spaces before the `=`")
             });
             return None;
         }

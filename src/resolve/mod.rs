@@ -46,7 +46,7 @@ use scope::{Filler, Scope};
 pub struct Choices {
     /// `--profile`; without it, the first profile of the file.
     pub profile: Option<String>,
-    /// `--set` arguments as given: `dril.total_steps=100000`. Later ones win.
+    /// `--set` arguments as given: `dril.total_timesteps=98304`. Later ones win.
     pub set: Vec<String>,
     /// The environment of the run, as far as it is text: stages that name a variable are given its value, and run anew
     /// when it changes.

@@ -95,9 +95,10 @@ fn follow<'n>(node: &'n Node, path: &[String]) -> Reached<'n> {
     reached
 }
 
-/// The name in "unknown field `x`" and its like.
+/// The name in "unknown field `x`" and its like, and in what is said of a former name.
 fn unknown_name(message: &str) -> Option<&str> {
-    message.strip_prefix("unknown ")?.split('`').nth(1)
+    let former = message.contains("` is now `") || message.ends_with("` is no longer a parameter");
+    if former || message.starts_with("unknown ") { message.split('`').nth(1) } else { None }
 }
 
 /// serde's words for what it found and expected, in words of the pipeline file.

@@ -113,8 +113,9 @@ fn unknown_part(key: &Key, known: &Known<'_>) -> Problem {
         return problem.related(*at, "an axis").hint(format!("an axis is addressed as `axes.{name}`"));
     }
     if matches!(&*key.text, "name" | "stages" | "profiles") {
-        return problem
-            .hint("overrides address the fields of a stage's `with` directly, as in `my-stage.total_steps`");
+        return problem.hint(
+            "overrides address the fields of a stage's `with` directly, as in `my-stage.total_timesteps`",
+        );
     }
     let stages = sorted(&known.stages);
     match suggest::nearest(&key.text, stages.iter().copied().chain(PARTS)) {

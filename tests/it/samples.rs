@@ -90,6 +90,9 @@ impl Describe for Train {
     const KIND: &'static str = "train";
     const REVISION: u32 = 1;
     const ABOUT: &'static str = "trains an expert";
+    const RENAMED: &'static [(&'static str, &'static str)] = &[("rate", "learning_rate")];
+    const REMOVED: &'static [(&'static str, &'static str)] =
+        &[("momentum", "leave it out: Adam has its own")];
     type Params = TrainParams;
 
     fn check(params: &TrainParams, problems: &mut Problems) {

@@ -46,18 +46,20 @@ fn the_thesis_resolves_at_every_profile() {
     let spec = spec_of("thesis.yaml");
     let profiles: Vec<&str> = spec.profiles().collect();
     assert_eq!(profiles, ["thesis", "desk", "smoke"]);
-    for (profile, seeds) in profiles.into_iter().zip([5, 1, 2]) {
+    for (profile, seeds) in profiles.into_iter().zip([5, 0, 2]) {
         let counts = instances(&graph(profile, &[]));
         for (stage, count) in [
+            // At `desk` the experts are agents that were trained before.
             ("train-expert", 2 * seeds),
-            ("choose-expert", 2),
+            ("choose-expert", if seeds > 0 { 2 } else { 0 }),
+            ("kept-expert", if seeds > 0 { 0 } else { 2 }),
             ("dataset", 4),
             ("clone", 8),
             ("ensemble", 4),
             ("dril", 8),
             ("evaluate", 48),
         ] {
-            assert_eq!(counts.get(stage), Some(&count), "{stage} at {profile}");
+            assert_eq!(counts.get(stage).copied().unwrap_or(0), count, "{stage} at {profile}");
         }
     }
 }
@@ -130,7 +132,7 @@ fn the_lunar_lander_resolves_at_every_profile() {
             ("dril", 2),
             ("evaluate", 12),
         ] {
-            assert_eq!(counts.get(stage), Some(&count), "{stage} at {profile}");
+            assert_eq!(counts.get(stage).copied().unwrap_or(0), count, "{stage} at {profile}");
         }
     }
 }
@@ -147,7 +149,7 @@ fn the_tables_read_the_evaluations_that_they_show() {
 
 #[test]
 fn a_number_set_on_the_command_line_reaches_its_stages_only() {
-    let (before, after) = (graph("smoke", &[]), graph("smoke", &["dril.total_steps=4096"]));
+    let (before, after) = (graph("smoke", &[]), graph("smoke", &["dril.total_timesteps=4096"]));
     let changed: Vec<&str> = before
         .stages
         .node_weights()
@@ -180,7 +182,7 @@ fn the_example_that_opens_the_reference_resolves() {
 
 #[test]
 fn one_glance_shows_the_experiment() {
-    assert!(text("thesis.yaml").lines().count() <= 165);
+    assert!(text("thesis.yaml").lines().count() <= 190);
 }
 
 #[test]

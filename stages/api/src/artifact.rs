@@ -15,7 +15,7 @@ pub enum Artifact {
     Ensemble,
     /// One row per evaluated episode (see [`crate::scores`]).
     Scores,
-    /// How a training run went, one row per logged step (CSV).
+    /// How a training run went, one row per logged step, update, epoch or episode (CSV).
     TrainingLog,
     /// A table of results (CSV or Markdown).
     Table,

@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use crate::params;
+use crate::params::{self, Names};
 use crate::{Ctx, Describe, Job, Needs, ParamProblem, Ports, Prepared, Problems, Program, Stage, StageError};
 
 /// A stage kind as the engine sees it: names, and functions over parameters as JSON values.
@@ -201,7 +201,8 @@ fn schema_of<D: Describe>() -> schemars::Schema {
 }
 
 fn read<D: Describe>(value: &Value) -> Result<D::Params, Vec<ParamProblem>> {
-    params::read::<D::Params>(value)
+    let names = Names { parts: D::FLATTENED, renamed: D::RENAMED, removed: D::REMOVED };
+    params::read::<D::Params>(value, &names)
 }
 
 fn normalize<D: Describe>(value: &Value) -> Result<Value, Vec<ParamProblem>> {

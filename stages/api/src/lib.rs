@@ -6,15 +6,19 @@
 //! - [`Ctx`] is all that a running stage sees: seed, inputs, outputs, progress, checkpoint folder, cancellation.
 //! - [`Job`] is the same as a file, as the engine writes it for the child process that runs the stage.
 //! - [`Reply`] is how a subcommand that a stage crate brings along ends.
+//! - [`math`] and [`draw`] are functions and random draws whose bits do not depend on the processor: what reaches a
+//!   result uses them instead of those of `std` or of a library.
 //! - [`scores`] is the one artifact format that several stage crates share.
 //!
 //! This crate knows nothing of YAML, keys or the cache, and depends on no other package of the workspace.
 
 mod artifact;
 mod ctx;
+pub mod draw;
 mod error;
 mod job;
 mod kind;
+pub mod math;
 mod needs;
 mod params;
 mod ports;
@@ -32,7 +36,7 @@ pub use error::StageError;
 pub use job::{Job, JobInput, JobOutput, Labels};
 pub use kind::{Kind, Look};
 pub use needs::Needs;
-pub use params::{ParamProblem, Problems};
+pub use params::{ParamProblem, Part, Problems};
 pub use ports::{Arity, Input, Output, Outside, Ports, port_name};
 pub use progress::{Message, Progress};
 pub use registry::{Registry, RegistryError};

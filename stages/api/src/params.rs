@@ -2,6 +2,7 @@
 
 use std::ops::RangeBounds;
 
+use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
@@ -65,36 +66,147 @@ impl Problems {
     }
 }
 
+/// A struct that is flattened into a kind's parameters (`#[serde(flatten)]`).
+///
+/// serde reads such a struct from a buffer and forgets where each value stood, so each part is read by itself where
+/// something is wrong. The struct must not deny unknown fields; the one that it is flattened into must.
+#[derive(Clone, Copy, Debug)]
+pub struct Part {
+    schema: fn() -> schemars::Schema,
+    read: fn(Value, &mut Vec<ParamProblem>),
+}
+
+impl Part {
+    /// The part of type `P`.
+    pub const fn of<P: DeserializeOwned + JsonSchema>() -> Self {
+        Self { schema: || schemars::schema_for!(P), read: read_all::<P> }
+    }
+}
+
+/// What a kind says about the names of its parameters, beside their type; see [`crate::Describe`].
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Names {
+    pub(crate) parts: &'static [Part],
+    pub(crate) renamed: &'static [(&'static str, &'static str)],
+    pub(crate) removed: &'static [(&'static str, &'static str)],
+}
+
+impl Names {
+    /// What to say of a field that had this name once.
+    fn former(&self, seen: &str) -> Option<ParamProblem> {
+        let find = |list: &[(&'static str, &'static str)]| list.iter().find(|(old, _)| *old == seen).copied();
+        let path = vec![seen.to_owned()];
+        if let Some((_, new)) = find(self.renamed) {
+            return Some(ParamProblem { path, message: format!("`{seen}` is now `{new}`"), hint: None });
+        }
+        let (_, instead) = find(self.removed)?;
+        let hint = Some(instead.to_owned());
+        Some(ParamProblem { path, message: format!("`{seen}` is no longer a parameter"), hint })
+    }
+}
+
 /// Reads `value` as `P` and reports every wrong field, not only the first: a field that cannot be read is reported and
 /// set aside, and the rest is read again.
-pub(crate) fn read<P>(value: &Value) -> Result<P, Vec<ParamProblem>>
+pub(crate) fn read<P>(value: &Value, names: &Names) -> Result<P, Vec<ParamProblem>>
 where
-    P: DeserializeOwned,
+    P: DeserializeOwned + JsonSchema,
 {
     // Following where in the value it is costs several times as much as reading it, and few values are wrong.
     if let Ok(params) = P::deserialize(value) {
         return Ok(params);
     }
     let mut rest = value.clone();
-    let mut found: Vec<ParamProblem> = Vec::new();
-    loop {
-        match serde_path_to_error::deserialize::<_, P>(&rest) {
-            Ok(params) if found.is_empty() => return Ok(params),
-            Ok(_) => return Err(found),
-            Err(error) => {
-                let path = segments(error.path());
-                let message = error.inner().to_string();
-                // A field that was set aside is then missing; only the first word about it is news.
-                let echo = !found.is_empty() && message.starts_with("missing field");
-                if !echo {
-                    found.push(describe(&path, &message));
-                }
-                if echo || !remove(&mut rest, &path) {
-                    return Err(found);
-                }
-            }
+    let mut found = Vec::new();
+    set_former_names_aside(&mut rest, names, &mut found);
+    if !names.parts.is_empty() {
+        set_unknown_names_aside(&mut rest, &properties(&schemars::schema_for!(P)), &mut found);
+    }
+    for part in names.parts {
+        read_part(part, &mut rest, &mut found);
+    }
+    read_all::<P>(rest, &mut found);
+    if found.is_empty() {
+        // Reading with and without places agree; this is for the case that they ever do not.
+        return P::deserialize(value).map_err(|error| vec![describe(&[], &error.to_string())]);
+    }
+    Err(found)
+}
+
+/// Reads `rest` as `P` until it fits, and adds what is wrong with it to `found`.
+fn read_all<P: DeserializeOwned>(mut rest: Value, found: &mut Vec<ParamProblem>) {
+    while let Err(error) = serde_path_to_error::deserialize::<_, P>(&rest) {
+        let path = segments(error.path());
+        let message = error.inner().to_string();
+        // A field that was set aside is then missing; only the first word about it is news.
+        let echo = is_echo(&path, &message, found);
+        if !echo {
+            found.push(describe(&path, &message));
+        }
+        if echo || !remove(&mut rest, &path) {
+            return;
         }
     }
+}
+
+/// True where a field is missing because it, or something in it, was reported before.
+fn is_echo(path: &[String], message: &str, found: &[ParamProblem]) -> bool {
+    let name = message.strip_prefix("missing field `").and_then(|rest| rest.split('`').next());
+    name.is_some_and(|name| {
+        let inside = |problem: &ParamProblem| {
+            problem.path.starts_with(path) && problem.path.get(path.len()).is_some_and(|part| part == name)
+        };
+        found.iter().any(inside)
+    })
+}
+
+/// Reports fields by the names that they had once.
+fn set_former_names_aside(rest: &mut Value, names: &Names, found: &mut Vec<ParamProblem>) {
+    let Value::Object(fields) = rest else { return };
+    fields.retain(|name, _| match names.former(name) {
+        Some(problem) => {
+            found.push(problem);
+            false
+        }
+        None => true,
+    });
+}
+
+/// Reports fields that the schema does not have: where a struct is flattened, serde no longer says which there are.
+fn set_unknown_names_aside(rest: &mut Value, known: &[String], found: &mut Vec<ParamProblem>) {
+    let Value::Object(fields) = rest else { return };
+    let known: Vec<&str> = known.iter().map(String::as_str).collect();
+    fields.retain(|name, _| {
+        let is_known = known.contains(&name.as_str());
+        if !is_known {
+            let hint = Some(known_names(name, &known));
+            found.push(ParamProblem {
+                path: vec![name.clone()],
+                message: format!("unknown field `{name}`"),
+                hint,
+            });
+        }
+        is_known
+    });
+}
+
+/// Reports what is wrong with the fields of a flattened struct, and sets them aside.
+fn read_part(part: &Part, rest: &mut Value, found: &mut Vec<ParamProblem>) {
+    let Value::Object(fields) = rest else { return };
+    let names = properties(&(part.schema)());
+    let own = names.iter().filter_map(|name| Some((name.clone(), fields.get(name)?.clone())));
+    let before = found.len();
+    (part.read)(Value::Object(own.collect()), found);
+    for problem in found.iter().skip(before) {
+        if let Some(field) = problem.path.first() {
+            fields.remove(field);
+        }
+    }
+}
+
+/// The names of the fields of a struct.
+fn properties(schema: &schemars::Schema) -> Vec<String> {
+    let fields = schema.get("properties").and_then(Value::as_object);
+    fields.into_iter().flat_map(|fields| fields.keys().cloned()).collect()
 }
 
 fn segments(path: &serde_path_to_error::Path) -> Vec<String> {
@@ -173,7 +285,7 @@ mod tests {
     use serde::{Deserialize, Serialize};
     use serde_json::json;
 
-    #[derive(Debug, Deserialize, Serialize, PartialEq)]
+    #[derive(Debug, Deserialize, Serialize, PartialEq, JsonSchema)]
     #[serde(deny_unknown_fields, default)]
     struct Inner {
         depth: u32,
@@ -183,12 +295,46 @@ mod tests {
             Self { depth: 3 }
         }
     }
-    #[derive(Debug, Deserialize, Serialize, PartialEq)]
+    #[derive(Debug, Deserialize, Serialize, PartialEq, JsonSchema)]
     #[serde(deny_unknown_fields)]
     struct Sample {
         steps: u64,
         #[serde(default)]
         inner: Inner,
+    }
+
+    /// What two kinds share.
+    #[derive(Debug, Deserialize, Serialize, PartialEq, JsonSchema)]
+    #[serde(default)]
+    struct Shared {
+        gamma: f64,
+        n_envs: u64,
+        to_step: Option<u64>,
+    }
+    impl Default for Shared {
+        fn default() -> Self {
+            Self { gamma: 0.99, n_envs: 4, to_step: None }
+        }
+    }
+    #[derive(Debug, Deserialize, Serialize, PartialEq, JsonSchema)]
+    #[serde(deny_unknown_fields)]
+    struct Flat {
+        steps: u64,
+        #[serde(flatten)]
+        shared: Shared,
+    }
+    const FLAT: Names = Names {
+        parts: &[Part::of::<Shared>()],
+        renamed: &[("envs", "n_envs")],
+        removed: &[("precision", "all is computed with 32 bits")],
+    };
+
+    fn read<P: DeserializeOwned + JsonSchema>(value: &Value) -> Result<P, Vec<ParamProblem>> {
+        super::read(value, &Names::default())
+    }
+
+    fn read_flat(value: &Value) -> Result<Flat, Vec<ParamProblem>> {
+        super::read(value, &FLAT)
     }
 
     #[test]
@@ -214,6 +360,51 @@ mod tests {
         let problems = read::<Sample>(&json!({})).unwrap_err();
         assert_eq!(problems[0].message, "missing field `steps`");
         assert_eq!(read::<Sample>(&json!({"steps": 1})).unwrap().inner.depth, 3);
+    }
+
+    #[test]
+    fn fields_of_a_flattened_struct_are_read_beside_the_others() {
+        let params = read_flat(&json!({"steps": 1, "n_envs": 8, "gamma": 1})).unwrap();
+        assert_eq!(params.shared, Shared { gamma: 1.0, n_envs: 8, to_step: None });
+        let back = serde_json::to_value(&params).unwrap();
+        assert_eq!(back, json!({"steps": 1, "gamma": 1.0, "n_envs": 8, "to_step": null}));
+        assert_eq!(read_flat(&back), Ok(params));
+    }
+
+    #[test]
+    fn wrong_fields_of_a_flattened_struct_and_of_its_owner_are_reported_at_once() {
+        let value = json!({"steps": "x", "gamma": "y", "n_envs": "z", "to_step": 1.5, "gama": 1});
+        let problems = read_flat(&value).unwrap_err();
+        let mut paths: Vec<_> = problems.iter().map(|p| p.path.join(".")).collect();
+        paths.sort();
+        assert_eq!(paths, ["gama", "gamma", "n_envs", "steps", "to_step"], "{problems:?}");
+        let unknown = problems.iter().find(|p| p.path == ["gama"]).unwrap();
+        assert_eq!(unknown.message, "unknown field `gama`");
+        assert!(
+            unknown.hint.as_deref().unwrap().starts_with("did you mean `gamma`? known are "),
+            "{unknown:?}"
+        );
+        assert!(unknown.hint.as_deref().unwrap().contains("`steps`"), "{unknown:?}");
+    }
+
+    #[test]
+    fn a_field_that_is_missing_is_reported_beside_wrong_ones() {
+        let problems = read_flat(&json!({"gamma": "y"})).unwrap_err();
+        let messages: Vec<&str> = problems.iter().map(|p| p.message.as_str()).collect();
+        assert_eq!(messages.len(), 2, "{messages:?}");
+        assert_eq!(messages[1], "missing field `steps`");
+    }
+
+    #[test]
+    fn a_former_name_gives_an_error_that_names_the_new_one() {
+        let problems = read_flat(&json!({"steps": 1, "envs": 8, "precision": "bf16"})).unwrap_err();
+        assert_eq!(problems.len(), 2, "{problems:?}");
+        assert_eq!(
+            (problems[0].path.as_slice(), problems[0].message.as_str()),
+            (&["envs".to_owned()][..], "`envs` is now `n_envs`")
+        );
+        assert_eq!(problems[1].message, "`precision` is no longer a parameter");
+        assert_eq!(problems[1].hint.as_deref(), Some("all is computed with 32 bits"));
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! The `scores` artifact: one row per evaluated episode, as CSV with the columns
-//! `episode,track_seed,score,steps,outcome`.
+//! `episode,seed,score,steps,outcome,diverged_at_step`. Files of earlier versions, which call the seed `track_seed` and
+//! lack the last column, are read too.
 
 use std::path::Path;
 
@@ -13,14 +14,19 @@ use crate::StageError;
 pub struct ScoreRow {
     /// Position in the list of episodes, from 0.
     pub episode: usize,
-    /// The seed that names the track (or level) of the episode.
-    pub track_seed: u64,
+    /// The seed that names the episode's track, ground or level.
+    #[serde(alias = "track_seed")]
+    pub seed: u64,
     /// The sum of the environment's rewards, unmodified.
     pub score: f64,
     /// Steps acted.
     pub steps: u64,
     /// How it ended: `finished`, `failed` or `time-limit`.
     pub outcome: String,
+    /// The environment step at which the training of the agent diverged, so that it acts with its last finite weights;
+    /// empty where it did not.
+    #[serde(default)]
+    pub diverged_at_step: Option<u64>,
 }
 
 /// Writes the rows.
@@ -61,16 +67,28 @@ mod tests {
     use super::*;
 
     fn row(episode: usize, score: f64) -> ScoreRow {
-        ScoreRow { episode, track_seed: 7, score, steps: 10, outcome: "finished".into() }
+        ScoreRow { episode, seed: 7, score, steps: 10, outcome: "finished".into(), diverged_at_step: None }
     }
 
     #[test]
     fn scores_are_read_back_to_the_last_bit() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("scores.csv");
-        let rows = vec![row(0, 0.1 + 0.2), row(1, -100.0), row(2, 1e-300)];
+        let marked = ScoreRow { diverged_at_step: Some(8192), ..row(2, 1e-300) };
+        let rows = vec![row(0, 0.1 + 0.2), row(1, -100.0), marked];
         write(&path, &rows).unwrap();
         assert_eq!(read("scores", &path).unwrap(), rows);
+    }
+
+    #[test]
+    fn scores_of_earlier_versions_are_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scores.csv");
+        std::fs::write(&path, "episode,track_seed,score,steps,outcome\n0,7,1.5,10,finished\n").unwrap();
+        assert_eq!(read("scores", &path).unwrap(), [row(0, 1.5)]);
+        write(&path, &[row(0, 1.5)]).unwrap();
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert_eq!(text, "episode,seed,score,steps,outcome,diverged_at_step\n0,7,1.5,10,finished,\n");
     }
 
     #[test]
@@ -79,9 +97,9 @@ mod tests {
         let path = folder.path().join("scores.csv");
         for (text, part) in [
             ("", "has no episode"),
-            ("episode,track_seed,score,steps,outcome\n", "has no episode"),
+            ("episode,seed,score,steps,outcome\n", "has no episode"),
             ("a,b\n1,2\n", "not a table of scores"),
-            ("episode,track_seed,score,steps,outcome\n0,1,NaN,3,finished\n", "expected a number"),
+            ("episode,seed,score,steps,outcome\n0,1,NaN,3,finished\n", "expected a number"),
         ] {
             std::fs::write(&path, text).unwrap();
             let message = read("scores", &path).unwrap_err().to_string();

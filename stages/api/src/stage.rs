@@ -9,7 +9,7 @@ use std::process::{Command, ExitStatus};
 use schemars::JsonSchema;
 use serde::{Serialize, de::DeserializeOwned};
 
-use crate::{Ctx, Job, Needs, Ports, Problems, StageError};
+use crate::{Ctx, Job, Needs, Part, Ports, Problems, StageError};
 
 /// What a stage kind looks like from outside: name, parameters, ports.
 pub trait Describe: 'static {
@@ -25,6 +25,14 @@ pub trait Describe: 'static {
     /// The parameter whose empty values are filled in from the environment of the run: a map of variables. With their
     /// values they enter the key.
     const ENVIRONMENT: Option<&'static str> = None;
+
+    /// Structs that are flattened into the parameters (`#[serde(flatten)]`), so that each of their wrong fields is
+    /// reported by its name.
+    const FLATTENED: &'static [Part] = &[];
+    /// Parameters that have another name now, (old, new): whoever uses the old one is told the new one.
+    const RENAMED: &'static [(&'static str, &'static str)] = &[];
+    /// Parameters that are no more, with a sentence on what to do instead.
+    const REMOVED: &'static [(&'static str, &'static str)] = &[];
 
     /// What stands under `with:`. Unknown fields must be denied (`#[serde(deny_unknown_fields)]`); every field that
     /// has a default should say so with `#[serde(default)]`, and doc comments appear in `dril-pipe kinds`.

@@ -2,8 +2,7 @@
 //!
 //! The driver knows the track ahead, which no policy sees: what it does is a target to imitate, not a competitor.
 
-use dril_stage_api::{Artifact, Ctx, Describe, Needs, Ports, Problems, Seed, Stage, StageError};
-use rand_distr::{Distribution, Normal};
+use dril_stage_api::{Artifact, Ctx, Describe, Needs, Ports, Problems, Seed, Stage, StageError, draw};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -33,8 +32,8 @@ pub struct DriveParams {
     /// Episodes to drive at most.
     #[serde(default = "five_hundred")]
     pub max_attempts: u64,
-    /// Attempt i is driven on the track of seed `first_track_seed` + i.
-    pub first_track_seed: u64,
+    /// Attempt i is driven with the seed `first_seed` + i, which names its track.
+    pub first_seed: u64,
     /// Standard deviation of the noise that is added to the actions on their way to the car, but not to those in the
     /// file: the driver is pushed off its line and shows how to get back (Laskey et al. 2017, "DART").
     #[serde(default)]
@@ -66,7 +65,8 @@ const MOST_NOISE: f64 = 2.0;
 
 impl Describe for Drive {
     const KIND: &'static str = "drive";
-    const REVISION: u32 = 2;
+    const REVISION: u32 = 3;
+    const RENAMED: &'static [(&'static str, &'static str)] = &[("first_track_seed", "first_seed")];
     const ABOUT: &'static str = "records laps of CarRacing's scripted driver that score above a threshold";
     type Params = DriveParams;
 
@@ -84,8 +84,8 @@ impl Describe for Drive {
                 format!("`max_attempts` is {most}, expected at least the {wanted} `episodes` to keep");
             problems.add("max_attempts", message);
         }
-        if params.first_track_seed.checked_add(params.max_attempts).is_none() {
-            problems.add("first_track_seed", "the last track's seed is beyond 64 bits; take a smaller one");
+        if params.first_seed.checked_add(params.max_attempts).is_none() {
+            problems.add("first_seed", "the last track's seed is beyond 64 bits; take a smaller one");
         }
         problems.range("noise", params.noise, 0.0..=MOST_NOISE, "a number from 0 to 2");
         problems.positive("noise_steps", params.noise_steps);
@@ -118,7 +118,7 @@ impl Stage for Drive {
             ctx.stop_if_cancelled()?;
             let seed = ctx.seed().child(&format!("episode/{attempt}"));
             let episode =
-                lap(&mut env, params.first_track_seed + attempt, params, seed).map_err(StageError::failed)?;
+                lap(&mut env, params.first_seed + attempt, params, seed).map_err(StageError::failed)?;
             best = best.max(episode.score);
             if episode.score > params.above {
                 kept.push(episode);
@@ -161,8 +161,6 @@ fn header(params: &DriveParams) -> DemosHeader {
 /// One episode; the noise comes from the stream `noise` of `seed`.
 fn lap(env: &mut CarRacing, track_seed: u64, params: &DriveParams, seed: Seed) -> Result<Episode, EnvError> {
     let mut stream = seed.stream("noise");
-    // Its only errors are a standard deviation below 0 or not a number, which the parameters' check refuses.
-    let noise = Normal::new(0.0, params.noise).ok();
     let mut push = [0.0; 2];
     let mut steps = 0;
     let mut episode = Episode {
@@ -181,8 +179,8 @@ fn lap(env: &mut CarRacing, track_seed: u64, params: &DriveParams, seed: Seed) -
             episode.frames.extend_from_slice(pixels);
         }
         episode.actions.extend(action);
-        if let Some(noise) = noise.filter(|_| steps % params.noise_steps == 0) {
-            push = push.map(|_| noise.sample(&mut stream) as f32);
+        if steps % params.noise_steps == 0 {
+            push = push.map(|_| (params.noise * draw::normal(&mut stream)) as f32);
         }
         steps += 1;
         let pushed = [0, 1].map(|i| (action[i] + push[i]).clamp(-1.0, 1.0));
@@ -207,8 +205,7 @@ mod tests {
 
     #[test]
     fn the_driver_finishes_its_laps_and_they_are_kept_with_what_was_seen_and_done() {
-        let params =
-            json!({ "env": { "car-racing": {} }, "episodes": 2, "above": 850, "first_track_seed": 7 });
+        let params = json!({ "env": { "car-racing": {} }, "episodes": 2, "above": 850, "first_seed": 7 });
         let laps = driven(params, 1).unwrap();
         assert_eq!(laps.episodes.len(), 2);
         for lap in &laps.episodes {
@@ -223,7 +220,7 @@ mod tests {
         let params = |noise: f64| {
             json!({
                 "env": { "car-racing": { "time_limit": 60 } },
-                "episodes": 1, "above": -200, "first_track_seed": 7, "noise": noise
+                "episodes": 1, "above": -200, "first_seed": 7, "noise": noise
             })
         };
         let (calm, pushed) = (driven(params(0.0), 1).unwrap(), driven(params(0.3), 1).unwrap());
@@ -238,7 +235,7 @@ mod tests {
     fn noise_that_lasts_pushes_the_car_further_off_its_line() {
         let laps = |steps: u64| {
             let params = json!({
-                "env": { "car-racing": { "time_limit": 400 } }, "episodes": 3, "above": -200, "first_track_seed": 7,
+                "env": { "car-racing": { "time_limit": 400 } }, "episodes": 3, "above": -200, "first_seed": 7,
                 "noise": 0.5, "noise_steps": steps
             });
             driven(params, 1).unwrap()
@@ -258,7 +255,7 @@ mod tests {
     fn too_few_good_laps_are_an_error_that_says_what_to_change() {
         let params = json!({
             "env": { "car-racing": { "time_limit": 5 } },
-            "episodes": 1, "above": 900, "max_attempts": 2, "first_track_seed": 7
+            "episodes": 1, "above": 900, "max_attempts": 2, "first_seed": 7
         });
         let message = driven(params, 1).unwrap_err().to_string();
         for part in ["0 of 2 laps", "above 900", "the best scored", "`max_attempts`"] {
@@ -270,14 +267,16 @@ mod tests {
     fn all_wrong_parameters_are_reported_at_once() {
         let params = json!({
             "env": { "car-racing": { "time_limit": 0 } },
-            "episodes": 9, "max_attempts": 3, "first_track_seed": u64::MAX, "noise": -1.0,
+            "episodes": 9, "max_attempts": 3, "first_seed": u64::MAX, "noise": -1.0,
             "noise_steps": 0
         });
         let problems = dril_stage_api::Kind::of::<Drive>().normalize(&params).unwrap_err();
         let mut paths: Vec<String> = problems.iter().map(|problem| problem.path.join(".")).collect();
         paths.sort();
-        let wanted =
-            ["env.car-racing.time_limit", "first_track_seed", "max_attempts", "noise", "noise_steps"];
+        let wanted = ["env.car-racing.time_limit", "first_seed", "max_attempts", "noise", "noise_steps"];
         assert_eq!(paths, wanted);
+        let old = json!({ "env": { "car-racing": {} }, "first_track_seed": 7 });
+        let problems = dril_stage_api::Kind::of::<Drive>().normalize(&old).unwrap_err();
+        assert_eq!(problems[0].message, "`first_track_seed` is now `first_seed`");
     }
 }

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::{EnvError, Picture};
 
 /// What observations look like.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum ObservationSpace {
     /// A grey picture, row-major `u8`, row 0 on top. [`Env::frame`] is the newest picture only; the consumer stacks
@@ -33,10 +33,18 @@ impl ObservationSpace {
             Self::Vector { len } => *len,
         }
     }
+
+    /// Frames that a policy sees at once; 1 for vectors.
+    pub fn stack(&self) -> usize {
+        match self {
+            Self::Image { stack, .. } => *stack,
+            Self::Vector { .. } => 1,
+        }
+    }
 }
 
 /// What actions look like.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum ActionSpace {
     /// `dims` numbers, each in [-1, 1].
@@ -57,6 +65,14 @@ impl ActionSpace {
         match self {
             Self::Continuous { dims } => *dims,
             Self::Discrete { .. } => 1,
+        }
+    }
+
+    /// Values that a network answers with: one for each number of an action, or one for each choice.
+    pub fn outputs(&self) -> usize {
+        match self {
+            Self::Continuous { dims } => *dims,
+            Self::Discrete { actions } => *actions,
         }
     }
 }

@@ -7,22 +7,27 @@ use std::sync::LazyLock;
 
 use dril_envs::check::{self, CheckError, Report};
 
-static REPORT: LazyLock<Report> = LazyLock::new(|| {
-    check::run(&Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/traces")).expect("the recordings are there")
-});
+static REPORT: LazyLock<Report> = LazyLock::new(|| replay("traces"));
+/// Recordings in which the steering is pressed against its stop and called back slowly.
+static STOPS: LazyLock<Report> = LazyLock::new(|| replay("traces-stops"));
+
+fn replay(folder: &str) -> Report {
+    let tests = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests");
+    check::run(&tests.join(folder)).expect("the recordings are there")
+}
 
 /// Every row of the script with the measure is within `limit`, and there is one.
 fn holds(script: &str, measure: &str, limit: f64) {
+    holds_in(&REPORT, script, measure, limit);
+}
+
+fn holds_in(report: &Report, script: &str, measure: &str, limit: f64) {
     let rows: Vec<_> =
-        REPORT.rows.iter().filter(|row| row.script == script && row.measure.starts_with(measure)).collect();
-    assert!(!rows.is_empty(), "no row `{script}: {measure}` in\n{}", *REPORT);
+        report.rows.iter().filter(|row| row.script == script && row.measure.starts_with(measure)).collect();
+    assert!(!rows.is_empty(), "no row `{script}: {measure}` in\n{report}");
     for row in rows {
-        assert!(
-            row.worst <= limit,
-            "{script}: {measure} is {}, expected at most {limit}\n{}",
-            row.worst,
-            *REPORT
-        );
+        let worst = row.worst;
+        assert!(worst <= limit, "{script}: {measure} is {worst}, expected at most {limit}\n{report}");
     }
 }
 
@@ -58,6 +63,16 @@ fn full_gas_stays_within_1_cm_for_50_steps_and_5_cm_for_100() {
 fn every_script_ends_within_10_cm_after_300_steps() {
     // More than was asked for; slides and spins included.
     SCRIPTS.iter().for_each(|script| holds(script, "pose at 300", 0.1));
+}
+
+#[test]
+fn a_joint_pressed_against_its_stop_is_held_for_as_long_as_in_the_original() {
+    for script in ["random_smooth", "stop_edge", "stop_ease"] {
+        holds_in(&STOPS, script, "pose at 100", 0.01);
+        holds_in(&STOPS, script, "tiles visited", 0.0);
+        holds_in(&STOPS, script, "reward while tiles agree", 1e-9);
+    }
+    holds_in(&STOPS, "stop_ease", "pose at 200", 0.01);
 }
 
 #[test]

@@ -39,7 +39,7 @@ pub enum Algorithm {
     #[default]
     Ppo,
     /// Advantage actor-critic (Mnih et al. 2016): one step on the whole rollout, by RMSprop with a decay of 0.99.
-    /// `epochs`, `minibatches` and `clip_range` are not used.
+    /// `n_epochs`, `n_minibatches` and `clip_range` are not used.
     A2c,
 }
 
@@ -53,15 +53,25 @@ pub enum Mode {
     Stochastic,
 }
 
-/// The numbers that networks compute with while they learn. Adam's sums and the weights that are kept have 32 bits
-/// either way, and every agent acts with 32 bits where it is evaluated.
+/// Where networks are computed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
-pub enum Precision {
-    /// 32 bits: what the thesis's code computes with.
+pub enum Device {
+    /// On the processor: the same bits on every x86-64 processor with AVX2 and FMA.
     #[default]
-    Fp32,
-    /// 16 bits with the exponent of 32 (bfloat16) in all layers but the last ones: faster on processors that have
-    /// instructions for it, three digits exact.
-    Bf16,
+    Cpu,
+    /// On the first CUDA device, through a libtorch that was built with CUDA. Its bits depend on the device and on the
+    /// versions of CUDA and libtorch.
+    Cuda,
+}
+
+/// What happens when an update diverges: when a loss, a gradient or a weight is no longer a number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum OnDivergence {
+    /// Training ends there with the last finite weights, and the pipeline goes on. The log, the agents' files, their
+    /// scores and the tables made of them say so.
+    KeepLastFinite,
+    /// The stage fails.
+    Error,
 }

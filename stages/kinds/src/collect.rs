@@ -5,9 +5,10 @@ use dril_stage_api::{Artifact, Describe, Needs, Ports, Problems};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::evaluate::check_tracks;
+use crate::Mode;
+use crate::default::defaults;
+use crate::evaluate::{RENAMED, check_seeds};
 use crate::update::check_env;
-use crate::{Mode, default};
 
 /// Records episodes of an agent and keeps the first ones that score above a threshold.
 #[derive(Clone, Copy, Debug)]
@@ -21,29 +22,33 @@ pub struct CollectParams {
     pub env: EnvConfig,
     /// How the expert acts. The committed collector acts deterministically, but a deterministic Gaussian expert averages
     /// 370 and hardly ever passes 900: what made the thesis's files is open.
-    #[serde(default = "stochastic")]
+    #[serde(default = "default::mode")]
     pub mode: Mode,
     /// Episodes to keep.
-    #[serde(default = "default::int::<20>")]
+    #[serde(default = "default::episodes")]
     pub episodes: u64,
     /// Only episodes with a score above this are kept. Thesis: 900 (its collector: 920).
-    #[serde(default = "default::ratio::<900, 1>")]
+    #[serde(default = "default::above")]
     pub above: f64,
     /// Episodes to play at most.
-    #[serde(default = "default::int::<500>")]
+    #[serde(default = "default::max_attempts")]
     pub max_attempts: u64,
-    /// Attempt i is played on the track of seed `first_track_seed` + i.
-    pub first_track_seed: u64,
+    /// Attempt i is played with the seed `first_seed` + i, which names its track, ground or level.
+    pub first_seed: u64,
 }
 
-fn stochastic() -> Mode {
-    Mode::Stochastic
+defaults! {
+    mode: Mode = Mode::Stochastic;
+    episodes: u64 = 20;
+    above: f64 = 900.0;
+    max_attempts: u64 = 500;
 }
 
 impl Describe for Collect {
     const KIND: &'static str = "collect";
-    const REVISION: u32 = 2;
+    const REVISION: u32 = 3;
     const ABOUT: &'static str = "records an agent's episodes that score above a threshold";
+    const RENAMED: &'static [(&'static str, &'static str)] = RENAMED;
     type Params = CollectParams;
 
     fn check(params: &CollectParams, problems: &mut Problems) {
@@ -56,7 +61,7 @@ impl Describe for Collect {
             );
             problems.add("max_attempts", message);
         }
-        check_tracks(params.first_track_seed, params.max_attempts, problems);
+        check_seeds(params.first_seed, params.max_attempts, problems);
     }
 
     fn ports(_: &CollectParams) -> Ports {

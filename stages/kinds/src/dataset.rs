@@ -32,7 +32,7 @@ pub struct DatasetParams {
 
 impl Describe for Dataset {
     const KIND: &'static str = "dataset";
-    const REVISION: u32 = 1;
+    const REVISION: u32 = 2;
     const ABOUT: &'static str = "takes the first episodes of a recording, with actions in [-1, 1]";
     const SEEDED: bool = false;
     type Params = DatasetParams;

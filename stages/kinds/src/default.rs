@@ -1,22 +1,15 @@
-//! Defaults that stand where the field stands: `#[serde(default = "default::int::<8>")]`.
+//! Literal defaults of fields, for structs in which other fields have none: serde asks for a function for each.
 
-/// The whole number `N`.
-pub(crate) fn int<const N: u64>() -> u64 {
-    N
+/// Writes a module `default` with one function a line: `defaults! { patience: u64 = 20; }` is
+/// `#[serde(default = "default::patience")]`.
+macro_rules! defaults {
+    ($($name:ident: $type:ty = $value:expr;)+) => {
+        mod default {
+            #[allow(unused_imports)]
+            use super::*;
+            $(pub(super) fn $name() -> $type { $value })+
+        }
+    };
 }
 
-/// The number `A / B`, rounded once: the same as the decimal literal.
-pub(crate) fn ratio<const A: i64, const B: i64>() -> f64 {
-    A as f64 / B as f64
-}
-
-/// True for a value that is its type's default. Fields that came after keys were in use are left out of the normalised
-/// parameters where they say what was so before, so that no key changes.
-pub(crate) fn is<T: Default + PartialEq>(value: &T) -> bool {
-    *value == T::default()
-}
-
-/// Yes.
-pub(crate) fn yes() -> bool {
-    true
-}
+pub(crate) use defaults;

@@ -1,18 +1,21 @@
 //! `ppo`: trains an expert.
 
-use dril_envs::EnvConfig;
-use dril_stage_api::{Artifact, Describe, Needs, Ports, Problems};
+use dril_envs::{ActionSpace, EnvConfig};
+use dril_stage_api::{Artifact, Describe, Needs, Part, Ports, Problems};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::update::{check_env, check_run};
-use crate::{Algorithm, Network, PolicyFamily, Precision, UpdateSettings, default};
+use crate::default::defaults;
+use crate::on_policy::{self, OnPolicyParams};
+use crate::update::{NO_PRECISION, check_env};
+use crate::{Algorithm, Network, OnDivergence, PolicyFamily, UpdateSettings};
 
 /// Proximal policy optimisation (Schulman et al. 2017) on the environment's own reward.
 #[derive(Clone, Copy, Debug)]
 pub struct Ppo;
 
-/// What stands under `with:` of a `ppo` stage. Defaults are those of the annex's CarRacing experts.
+/// What stands under `with:` of a `ppo` stage. (The settings of the annex's CarRacing experts are in
+/// `pipelines/thesis.yaml`.)
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PpoParams {
@@ -23,146 +26,121 @@ pub struct PpoParams {
     /// The layers; by default those that fit the observation: `expert-cnn` or `mlp`.
     #[serde(default)]
     pub network: Option<Network>,
-    /// Environment steps in all, over all `envs`; a remainder below one rollout is not run.
-    #[serde(default = "default::int::<5_000_000>")]
-    pub total_steps: u64,
+    /// What `ppo` shares with `dril`.
+    #[serde(flatten)]
+    pub on_policy: OnPolicyParams,
     /// Where this stage takes up a training that several stages make one after the other: the steps that are done
-    /// when it begins. The learning rate stands where it would stand in one training of `total_steps`; the agent comes
-    /// from the input `policy`. Moments of Adam and episodes under way begin anew. A multiple of `envs` ×
-    /// `rollout_steps`.
-    #[serde(default, skip_serializing_if = "default::is")]
-    #[schemars(extend("default" = 0))]
+    /// when it begins. The learning rate stands where it would stand in one training of `total_timesteps`; the agent
+    /// comes from the input `policy`. Adam's moments and episodes under way start anew. A multiple of one rollout,
+    /// `n_envs` × `n_steps`.
+    #[serde(default)]
     pub from_step: u64,
-    /// Where this stage ends such a training; by default with `total_steps`.
-    #[serde(default, skip_serializing_if = "default::is")]
-    pub to_step: Option<u64>,
-    /// Environments side by side.
-    #[serde(default = "default::int::<8>")]
-    pub envs: u64,
-    /// Steps of each environment between updates.
-    #[serde(default = "default::int::<500>")]
-    pub rollout_steps: u64,
     /// Lets the first episodes end one after the other: that of environment i of n is cut after i/n of so many steps, as
     /// by the time limit. At 0, as in the reference code, episodes of one length begin and end together: with a limit of
     /// 1,000 steps and rollouts of 500, every second rollout has only second halves of episodes in it.
-    #[serde(default, skip_serializing_if = "default::is")]
-    #[schemars(extend("default" = 0))]
-    pub stagger: u64,
-    /// Passes over each rollout. The annex's table says 10; the code that made its agents has 4.
-    #[serde(default = "default::int::<4>")]
-    pub epochs: u64,
-    /// Minibatches a pass (their number, not their size).
-    #[serde(default = "default::int::<32>")]
-    pub minibatches: u64,
-    /// Adam's step size.
-    #[serde(default = "default::ratio::<25, 100_000>")]
-    pub learning_rate: f64,
-    /// Lowers the learning rate linearly to 0 over the run.
-    #[serde(default = "default::yes")]
-    pub anneal_learning_rate: bool,
-    /// ε of the clipped surrogate and of the clipped value loss.
-    #[serde(default = "default::ratio::<1, 10>")]
-    pub clip_range: f64,
-    /// Weight of the entropy bonus.
-    #[serde(default = "default::ratio::<1, 100>")]
-    pub entropy_coef: f64,
-    /// Weight of the value loss.
-    #[serde(default = "default::ratio::<1, 2>")]
-    pub value_coef: f64,
-    /// Global norm to which gradients are clipped.
-    #[serde(default = "default::ratio::<1, 2>")]
-    pub max_grad_norm: f64,
-    /// Discount.
-    #[serde(default = "default::ratio::<99, 100>")]
-    pub gamma: f64,
-    /// λ of generalised advantage estimation.
-    #[serde(default = "default::ratio::<95, 100>")]
-    pub gae_lambda: f64,
-    /// ε of Adam.
-    #[serde(default = "default::ratio::<1, 100_000>")]
-    pub adam_epsilon: f64,
-    /// Values the state after a time limit instead of taking the limit for a real end. The reference code of the
-    /// imitators takes it for an end (`false`).
-    #[serde(default = "default::yes")]
-    pub bootstrap_time_limits: bool,
-    /// Probability, drawn once for all environments at each step, of acting by the mean although a draw was asked for.
-    /// The experts' code has none; the imitators' has 0.1.
     #[serde(default)]
-    pub mean_action_probability: f64,
+    pub stagger: u64,
     /// Shows the agent each number of a vector by its distance from the running mean in running standard deviations,
-    /// clipped to ±10, as the annex's LunarLander experts have it; the statistics are kept with the policy. Pictures
-    /// are shown as they are.
-    #[serde(default, skip_serializing_if = "default::is")]
-    #[schemars(extend("default" = false))]
+    /// clipped to ±10, as the annex's LunarLander experts have it; the statistics are kept with the policy. Images are
+    /// shown as they are.
+    #[serde(default)]
     pub normalize_observations: bool,
-    /// Divides rewards by the running deviation of their discounted sum and clips them to ±10, as the annex's
-    /// LunarLander experts have it. Scores stay those of the environment.
-    #[serde(default, skip_serializing_if = "default::is")]
-    #[schemars(extend("default" = false))]
-    pub normalize_reward: bool,
-    /// The numbers to compute with.
-    #[serde(default, skip_serializing_if = "default::is")]
-    #[schemars(extend("default" = "fp32"))]
-    pub precision: Precision,
+    /// Standard deviation σ that a new `gaussian` agent begins with, the same for each dimension. No effect where an
+    /// agent comes in.
+    #[serde(default = "default::initial_deviation")]
+    pub initial_deviation: f64,
+    /// Gain of the orthogonal weights of a new agent's last layer: of the means of `gaussian`, of α and β of `beta`. No
+    /// effect where an agent comes in. (The logits of `categorical` always begin with 0.01.)
+    #[serde(default = "default::mean_gain")]
+    pub mean_gain: f64,
+    /// What the means of a new `gaussian` agent begin near: the bias of its last layer, a number for each dimension of
+    /// the action; left empty, 0. No effect where an agent comes in.
+    #[serde(default)]
+    pub initial_mean: Vec<f64>,
+    /// What happens when an update diverges. By default the stage fails: an expert that is not trained to its end is
+    /// nothing to build on.
+    #[serde(default = "default::on_divergence")]
+    pub on_divergence: OnDivergence,
+}
+
+defaults! {
+    initial_deviation: f64 = 1.0;
+    mean_gain: f64 = 1.0;
+    on_divergence: OnDivergence = OnDivergence::Error;
 }
 
 impl PpoParams {
-    /// The step at which this stage ends.
-    pub fn to_step(&self) -> u64 {
-        self.to_step.unwrap_or(self.total_steps)
+    /// The settings of an update.
+    pub fn update(&self) -> UpdateSettings {
+        self.on_policy.update(Algorithm::Ppo)
     }
 
-    /// Reports a leg that is empty, too long, or does not begin and end between updates.
-    fn check_leg(&self, problems: &mut Problems) {
-        let update = self.envs.saturating_mul(self.rollout_steps).max(1);
-        for (field, value) in [("from_step", Some(self.from_step)), ("to_step", self.to_step)] {
-            if let Some(value) = value.filter(|value| value % update != 0) {
+    /// Reports what is wrong with how a new agent begins.
+    fn check_start(&self, problems: &mut Problems) {
+        problems.positive_number("initial_deviation", self.initial_deviation);
+        problems.positive_number("mean_gain", self.mean_gain);
+        for (at, mean) in self.initial_mean.iter().enumerate().filter(|(_, mean)| !mean.is_finite()) {
+            problems.add(
+                &format!("initial_mean.{at}"),
+                format!("`initial_mean` has {mean} in it, expected numbers"),
+            );
+        }
+        let (gaussian, categorical) =
+            (self.policy == PolicyFamily::Gaussian, self.policy == PolicyFamily::Categorical);
+        for (field, changed, fits, families) in [
+            (
+                "initial_deviation",
+                self.initial_deviation != default::initial_deviation(),
+                gaussian,
+                "`gaussian`",
+            ),
+            ("mean_gain", self.mean_gain != default::mean_gain(), !categorical, "`gaussian` or `beta`"),
+            ("initial_mean", !self.initial_mean.is_empty(), gaussian, "`gaussian`"),
+        ] {
+            if changed && !fits {
+                problems.add(field, format!("`{field}` is set, expected so for the policy {families} only"));
+            } else if changed && self.from_step > 0 {
                 let message = format!(
-                    "`{field}` is {value}, expected a multiple of one rollout: {update} (`envs` × `rollout_steps`)"
+                    "`{field}` is set, expected its default: `from_step` is {}, so the agent comes from the input",
+                    self.from_step
                 );
                 problems.add(field, message);
             }
         }
-        let (from, to, total) = (self.from_step, self.to_step(), self.total_steps);
-        if to > total {
-            problems.add("to_step", format!("`to_step` is {to}, expected at most `total_steps`: {total}"));
-        } else if from.saturating_add(update) > to {
-            let message =
-                format!("`from_step` is {from}, expected at least one rollout ({update}) less than {to}");
-            problems.add("from_step", message);
-        }
+        self.check_mean_length(problems);
     }
 
-    /// The settings of an update.
-    pub fn update(&self) -> UpdateSettings {
-        UpdateSettings {
-            algorithm: Algorithm::Ppo,
-            epochs: self.epochs,
-            minibatches: self.minibatches,
-            clip_range: self.clip_range,
-            entropy_coef: self.entropy_coef,
-            value_coef: self.value_coef,
-            max_grad_norm: self.max_grad_norm,
-            gamma: self.gamma,
-            gae_lambda: self.gae_lambda,
+    /// Reports a number of initial means that the actions do not have.
+    fn check_mean_length(&self, problems: &mut Problems) {
+        let actions = match &self.env {
+            // Looking it up takes a Python; the stage checks it.
+            EnvConfig::Gymnasium(_) => return,
+            env => env.spaces().map(|(_, actions)| actions),
+        };
+        let seen = self.initial_mean.len();
+        if let Ok(ActionSpace::Continuous { dims }) = actions
+            && seen > 0
+            && seen != dims
+        {
+            let message = format!("`initial_mean` has {seen} numbers, expected {dims}, as an action has");
+            problems.add("initial_mean", message);
         }
     }
 }
 
 impl Describe for Ppo {
     const KIND: &'static str = "ppo";
-    const REVISION: u32 = 2;
+    const REVISION: u32 = 3;
     const ABOUT: &'static str = "trains an agent by proximal policy optimisation on the environment's reward";
+    const FLATTENED: &'static [Part] = on_policy::PARTS;
+    const RENAMED: &'static [(&'static str, &'static str)] = on_policy::RENAMED;
+    const REMOVED: &'static [(&'static str, &'static str)] = &[NO_PRECISION];
     type Params = PpoParams;
 
     fn check(params: &PpoParams, problems: &mut Problems) {
         check_env(&params.env, problems);
-        check_run(params.total_steps, params.envs, params.rollout_steps, problems);
-        params.check_leg(problems);
-        params.update().check(params.envs, params.rollout_steps, problems);
-        problems.positive_number("learning_rate", params.learning_rate);
-        problems.positive_number("adam_epsilon", params.adam_epsilon);
-        problems.fraction("mean_action_probability", params.mean_action_probability);
+        params.on_policy.check(params.from_step, problems);
+        params.check_start(problems);
     }
 
     fn ports(params: &PpoParams) -> Ports {
@@ -171,16 +149,14 @@ impl Describe for Ppo {
             0 => ports.optional("policy", Artifact::Policy, "the agent to begin with; left out: a new one"),
             _ => ports.input("policy", Artifact::Policy, "the agent as it stood at `from_step`"),
         };
-        ports.output("policy", Artifact::Policy, "safetensors", "the trained agent").output(
-            "log",
-            Artifact::TrainingLog,
-            "csv",
-            "one row per update",
-        )
+        ports
+            .output("policy", Artifact::Policy, "safetensors", "the trained agent")
+            .output("log", Artifact::TrainingLog, "csv", "one row per update")
+            .output("episodes", Artifact::TrainingLog, "csv", "one row per episode of the training")
     }
 
     fn needs(params: &PpoParams) -> Needs {
-        let steps = params.to_step().saturating_sub(params.from_step) as f64;
-        Needs::seconds(1.0 + steps / 3000.0 + steps * params.epochs as f64 / 2000.0)
+        let steps = params.on_policy.to_step().saturating_sub(params.from_step) as f64;
+        Needs::seconds(1.0 + steps / 3000.0 + steps * params.on_policy.n_epochs as f64 / 2000.0)
     }
 }

@@ -1,77 +1,41 @@
 //! From an environment's spaces to an agent's architecture.
 
 use dril_envs::{ActionSpace, EnvConfig, ObservationSpace};
+use dril_kinds::{Network, PolicyFamily};
 use dril_stage_api::StageError;
 
-use crate::net::{Network, Observation};
-use crate::policy::{Architecture, Policy, PolicyFamily};
+use crate::policy::{Architecture, Policy};
 
-/// What an agent sees where an environment shows this.
-pub fn observation(space: &ObservationSpace) -> Observation {
-    match *space {
-        ObservationSpace::Image { height, width, stack } => Observation::Images { height, width, stack },
-        ObservationSpace::Vector { len } => Observation::Vector { len },
+/// An action space in words.
+pub fn describe(space: ActionSpace) -> String {
+    match space {
+        ActionSpace::Continuous { dims } => format!("actions of {dims} numbers"),
+        ActionSpace::Discrete { actions } => format!("one of {actions} choices"),
     }
 }
 
-/// What actions are, as far as learning goes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Actions {
-    /// So many numbers.
-    Numbers(usize),
-    /// One of so many choices.
-    Choices(usize),
-}
-
-impl Actions {
-    /// Those of an environment.
-    pub fn of(space: &ActionSpace) -> Self {
-        match *space {
-            ActionSpace::Continuous { dims } => Self::Numbers(dims),
-            ActionSpace::Discrete { actions } => Self::Choices(actions),
-        }
-    }
-
-    /// How many values a network answers with: one for each number, or for each choice.
-    pub fn count(self) -> usize {
-        match self {
-            Self::Numbers(count) | Self::Choices(count) => count,
-        }
-    }
-
-    /// Checks that a policy family gives such actions.
-    ///
-    /// # Errors
-    /// It does not; the message says which do.
-    pub fn check(self, family: PolicyFamily) -> Result<(), StageError> {
-        let (seen, mend) = match (self, family == PolicyFamily::Categorical) {
-            (Self::Numbers(_), false) | (Self::Choices(_), true) => return Ok(()),
-            (Self::Numbers(count), true) => (format!("{count} numbers"), "`gaussian` or `beta`"),
-            (Self::Choices(count), false) => (format!("one of {count} choices"), "`categorical`"),
-        };
-        Err(StageError::failed(format!("an action is {seen} here; set `policy` to {mend}")))
-    }
-}
-
-impl std::fmt::Display for Actions {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Numbers(count) => write!(f, "actions of {count} numbers"),
-            Self::Choices(count) => write!(f, "one of {count} choices"),
-        }
-    }
-}
-
-/// What an agent in this environment sees and does.
+/// Checks that a policy family gives such actions.
 ///
 /// # Errors
-/// It has to be looked up, and cannot be.
-pub fn of(env: &EnvConfig) -> Result<(Observation, Actions), StageError> {
-    let (space, action) = env.spaces().map_err(StageError::failed)?;
-    Ok((observation(&space), Actions::of(&action)))
+/// It does not; the message names the families that do.
+pub fn check_family(space: ActionSpace, family: PolicyFamily) -> Result<(), StageError> {
+    let (seen, remedy) = match (space, family == PolicyFamily::Categorical) {
+        (ActionSpace::Continuous { .. }, false) | (ActionSpace::Discrete { .. }, true) => return Ok(()),
+        (ActionSpace::Continuous { dims }, true) => (format!("{dims} numbers"), "`gaussian` or `beta`"),
+        (ActionSpace::Discrete { actions }, false) => (format!("one of {actions} choices"), "`categorical`"),
+    };
+    Err(StageError::failed(format!("an action is {seen} here; set `policy` to {remedy}")))
 }
 
-/// The architecture of an agent for this environment; `network` left out means `images` for environments that show
+/// What an environment shows and takes.
+///
+/// # Errors
+/// It has to be started to find out, and that fails.
+pub fn of(env: &EnvConfig) -> Result<(ObservationSpace, ActionSpace), StageError> {
+    env.spaces().map_err(StageError::failed)
+}
+
+/// The architecture of an agent for this environment. Without a `network` it is `images` for environments that show
 /// images and [`Network::Mlp`] for the others.
 ///
 /// # Errors
@@ -83,27 +47,29 @@ pub fn architecture(
     images: Network,
 ) -> Result<Architecture, StageError> {
     let (observation, actions) = of(env)?;
-    actions.check(family)?;
+    check_family(actions, family)?;
     let network = network.unwrap_or(match observation {
-        Observation::Images { .. } => images,
-        Observation::Vector { .. } => Network::Mlp,
+        ObservationSpace::Image { .. } => images,
+        ObservationSpace::Vector { .. } => Network::Mlp,
     });
-    Ok(Architecture { network, family, observation, actions: actions.count() })
+    Ok(Architecture { network, family, observation, actions })
 }
 
-/// Checks that the policy knows what the environment shows and takes.
+/// Checks that the policy takes what the environment shows and gives the actions that it takes.
 ///
 /// # Errors
 /// It was made for another environment; the message shows both.
 pub fn check(policy: &Policy, env: &EnvConfig) -> Result<(), StageError> {
-    let seen = (policy.architecture().observation, policy.architecture().gives());
+    let Architecture { observation, actions, .. } = policy.architecture();
     let wanted = of(env)?;
-    if seen == wanted {
+    if (observation, actions) == wanted {
         return Ok(());
     }
     Err(StageError::failed(format!(
-        "the policy sees {:?} and gives {}, but `env` shows {:?} and takes {}; give `env` the environment that the policy \
-         was trained in",
-        seen.0, seen.1, wanted.0, wanted.1
+        "the policy sees {observation:?} and gives {}, but `env` shows {:?} and takes {}; give `env` the environment that \
+         the policy was trained in",
+        describe(actions),
+        wanted.0,
+        describe(wanted.1)
     )))
 }

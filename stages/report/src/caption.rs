@@ -6,8 +6,27 @@ use crate::markdown::{escape, one_line};
 
 /// The profile that is taken for the full experiment unless the pipeline file names another.
 pub(crate) fn full_profile() -> String {
-    "thesis".to_owned()
+    "full".to_owned()
 }
+
+/// What the published numbers are called unless the pipeline file says whose they are.
+pub(crate) fn reference_name() -> String {
+    "reference".to_owned()
+}
+
+/// Reports a name of the published numbers that cannot stand in a cell.
+pub(crate) fn check_reference_name(name: &str, problems: &mut Problems) {
+    if name.trim().is_empty() || name.contains(char::is_control) {
+        let message = format!("`reference_name` is {name:?}, expected a name on one line, as `thesis`");
+        problems.add("reference_name", message);
+    } else if name == OURS {
+        problems
+            .add("reference_name", format!("`reference_name` is `{OURS}`, which names this run's own rows"));
+    }
+}
+
+/// The source of what this run computed.
+pub(crate) const OURS: &str = "this run";
 
 /// The parameters that every table has.
 #[derive(Clone, Copy, Debug)]
@@ -38,8 +57,8 @@ impl Caption<'_> {
         let mut blocks = vec![format!("# {}", escape(self.title))];
         if self.profile != self.full_profile {
             blocks.push(format!(
-                "> made at profile `{}`: sizes are reduced, scores are not comparable with the thesis",
-                self.profile
+                "> made at profile `{}`: sizes are reduced, scores are not comparable with those at profile `{}`",
+                self.profile, self.full_profile
             ));
         }
         blocks.extend(lead.iter().cloned());
@@ -74,15 +93,16 @@ mod tests {
     use super::*;
 
     const CAPTION: Caption<'_> =
-        Caption { title: "T", profile: "smoke", full_profile: "thesis", note: "a *note*\nof two lines\n" };
+        Caption { title: "T", profile: "smoke", full_profile: "full", note: "a *note*\nof two lines\n" };
 
     #[test]
     fn only_a_reduced_profile_is_warned_about_and_both_are_named() {
         let smoke = CAPTION.page(&[], "| t |\n", &[]);
         assert!(smoke.contains("> made at profile `smoke`: sizes are reduced, scores are not comparable"));
         assert!(smoke.contains("\n- profile: `smoke`\n"));
-        let thesis = Caption { profile: "thesis", ..CAPTION }.page(&[], "| t |\n", &[]);
-        assert!(!thesis.contains("comparable") && thesis.contains("\n- profile: `thesis`\n"), "{thesis}");
+        assert!(smoke.contains("not comparable with those at profile `full`"), "{smoke}");
+        let full = Caption { profile: "full", ..CAPTION }.page(&[], "| t |\n", &[]);
+        assert!(!full.contains("comparable") && full.contains("\n- profile: `full`\n"), "{full}");
     }
 
     #[test]

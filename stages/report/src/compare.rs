@@ -57,7 +57,7 @@ pub struct Compare;
 
 impl Describe for Compare {
     const KIND: &'static str = "compare";
-    const REVISION: u32 = 1;
+    const REVISION: u32 = 2;
     const ABOUT: &'static str =
         "put evaluations on the same tracks side by side, with ratio and paired difference";
     const SEEDED: bool = false;
@@ -159,13 +159,12 @@ fn lines<'a>(evaluations: &'a [Evaluation<'a>], params: &CompareParams) -> Resul
 }
 
 fn difference(of: &Evaluation<'_>, base: &Evaluation<'_>) -> Result<(f64, Option<f64>), StageError> {
-    let tracks = |evaluation: &Evaluation<'_>| -> Vec<u64> {
-        evaluation.rows.iter().map(|row| row.track_seed).collect()
-    };
+    let tracks =
+        |evaluation: &Evaluation<'_>| -> Vec<u64> { evaluation.rows.iter().map(|row| row.seed).collect() };
     if tracks(of) != tracks(base) {
         let (ours, theirs) = (samples::describe(of.item.labels), samples::describe(base.item.labels));
         let message = format!(
-            "({ours}) and ({theirs}) were played on different tracks; give them the same `first_track_seed` and `episodes`"
+            "({ours}) and ({theirs}) were played with different seeds; give them the same `first_seed` and `episodes`"
         );
         return Err(StageError::input(PORT, of.item.path, message));
     }

@@ -4,7 +4,7 @@ use dril_stage_api::{Artifact, Ctx, Describe, Ports, Problems, Stage, StageError
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::caption::{self, Caption, statistic};
+use crate::caption::{self, Caption, OURS, statistic};
 use crate::markdown::{self, Column};
 use crate::number::precise;
 use crate::reference::{self, Published, Reference, Row};
@@ -13,11 +13,8 @@ use crate::score::Score;
 
 /// The label that names a row; a named fan-in of the pipeline file gives it to its items.
 const NAME: &str = "name";
-/// The source of the rows that this run adds.
-const OURS: &str = "this run";
-/// The source of reference rows that stand beside a row of this run instead of in one of their own.
-const THESIS: &str = "thesis";
-const COLUMNS: [&str; 7] = ["algorithm", "mean", "std", "episodes", "source", "thesis_mean", "thesis_std"];
+const COLUMNS: [&str; 7] =
+    ["algorithm", "mean", "std", "episodes", "source", "reference_mean", "reference_std"];
 
 /// Parameters of [`Leaderboard`].
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
@@ -27,9 +24,13 @@ pub struct LeaderboardParams {
     pub title: String,
     /// The profile at which the table is made; printed with it.
     pub profile: String,
-    /// The profile whose sizes are those of the thesis. A table made at any other says that its sizes are reduced.
+    /// The profile whose sizes are those of the experiment. A table made at any other says that its sizes are reduced.
     #[serde(default = "caption::full_profile")]
     pub full_profile: String,
+    /// The source whose rows of the reference stand beside this run's row of the same algorithm instead of in rows of
+    /// their own: whose experiment this run repeats.
+    #[serde(default = "caption::reference_name")]
+    pub reference_name: String,
     /// A sentence to print under the Markdown table.
     #[serde(default)]
     pub note: String,
@@ -37,7 +38,7 @@ pub struct LeaderboardParams {
 
 impl LeaderboardParams {
     fn caption(&self) -> Caption<'_> {
-        let Self { title, profile, full_profile, note } = self;
+        let Self { title, profile, full_profile, note, .. } = self;
         Caption { title, profile, full_profile, note }
     }
 }
@@ -46,22 +47,23 @@ impl LeaderboardParams {
 ///
 /// Inputs: `scores`, evaluations with the label `name` (evaluations of one name are pooled); `reference`, a CSV file
 /// with the columns `algorithm,mean,std,source`. First come the reference's rows in its own order, then this run's,
-/// with source `this run`. A reference row with source `thesis` whose algorithm this run has too is shown beside this
-/// run's row (`thesis_mean`, `thesis_std`) and not in one of its own.
+/// with source `this run`. A reference row whose source is `reference_name` and whose algorithm this run has too is shown beside
+/// this run's row (`reference_mean`, `reference_std`) and not in one of its own.
 ///
-/// Outputs: `csv` with the columns `algorithm,mean,std,episodes,source,thesis_mean,thesis_std` (this run's numbers with
+/// Outputs: `csv` with the columns `algorithm,mean,std,episodes,source,reference_mean,reference_std` (this run's numbers with
 /// two decimals, published ones as the reference writes them; `episodes` is empty for those), and `markdown`.
 pub struct Leaderboard;
 
 impl Describe for Leaderboard {
     const KIND: &'static str = "leaderboard";
-    const REVISION: u32 = 1;
+    const REVISION: u32 = 2;
     const ABOUT: &'static str = "list published results and, under them, evaluations of this run";
     const SEEDED: bool = false;
     type Params = LeaderboardParams;
 
     fn check(params: &LeaderboardParams, problems: &mut Problems) {
         params.caption().check(problems);
+        caption::check_reference_name(&params.reference_name, problems);
     }
 
     fn ports(_: &LeaderboardParams) -> Ports {
@@ -89,7 +91,7 @@ impl Stage for Leaderboard {
         let hint = "give each item a name in the pipeline file, as in `scores: { some name: stage }`";
         let groups = samples::pool(&samples, &[NAME.to_owned()], hint)?;
         let reference = Reference::read(ctx.input(reference::PORT)?, &["algorithm", "source"])?;
-        let entries = entries(&groups, &reference);
+        let entries = entries(&groups, &reference, &params.reference_name);
         ctx.write_output("csv", csv_text(&entries).map_err(StageError::failed)?)?;
         ctx.write_output("markdown", page(params, &entries))
     }
@@ -98,7 +100,7 @@ impl Stage for Leaderboard {
 /// A row of the list.
 enum Entry<'a> {
     Published(&'a Row),
-    Ours { group: &'a Group, thesis: Option<&'a Row> },
+    Ours { group: &'a Group, beside: Option<&'a Row> },
 }
 
 impl Entry<'_> {
@@ -123,10 +125,11 @@ impl Entry<'_> {
         }
     }
 
-    fn thesis(&self) -> Option<&Row> {
+    /// What was published for a row of this run.
+    fn beside(&self) -> Option<&Row> {
         match self {
             Self::Published(_) => None,
-            Self::Ours { thesis, .. } => *thesis,
+            Self::Ours { beside, .. } => *beside,
         }
     }
 
@@ -138,13 +141,13 @@ impl Entry<'_> {
     }
 }
 
-fn entries<'a>(groups: &'a [Group], reference: &'a Reference) -> Vec<Entry<'a>> {
+fn entries<'a>(groups: &'a [Group], reference: &'a Reference, name: &str) -> Vec<Entry<'a>> {
     let beside_ours =
-        |row: &&Row| row.key[1] == THESIS && groups.iter().any(|group| group.key[0] == row.key[0]);
+        |row: &&Row| row.key[1] == name && groups.iter().any(|group| group.key[0] == row.key[0]);
     let literature = reference.rows.iter().filter(|row| !beside_ours(row)).map(Entry::Published);
     let ours = groups.iter().map(|group| {
-        let thesis = reference.get(&[group.key[0].clone(), THESIS.to_owned()]);
-        Entry::Ours { group, thesis }
+        let beside = reference.get(&[group.key[0].clone(), name.to_owned()]);
+        Entry::Ours { group, beside }
     });
     literature.chain(ours).collect()
 }
@@ -158,10 +161,10 @@ fn csv_text(entries: &[Entry<'_>]) -> Result<Vec<u8>, Box<dyn std::error::Error>
             Entry::Ours { group, .. } => (precise(group.summary.mean), precise(group.summary.std)),
         };
         let episodes = entry.episodes().map_or_else(String::new, |n| n.to_string());
-        let thesis_mean = text(entry.thesis().and_then(|row| row.mean.as_ref()));
-        let thesis_std = text(entry.thesis().and_then(|row| row.std.as_ref()));
+        let reference_mean = text(entry.beside().and_then(|row| row.mean.as_ref()));
+        let reference_std = text(entry.beside().and_then(|row| row.std.as_ref()));
         let (algorithm, source) = (entry.algorithm(), entry.source());
-        writer.write_record([algorithm, &mean, &std, &episodes, source, &thesis_mean, &thesis_std])?;
+        writer.write_record([algorithm, &mean, &std, &episodes, source, &reference_mean, &reference_std])?;
     }
     Ok(writer.into_inner()?)
 }
@@ -172,13 +175,13 @@ fn text(number: Option<&Published>) -> String {
 
 fn page(params: &LeaderboardParams, entries: &[Entry<'_>]) -> String {
     let scores: Vec<Option<Score>> = entries.iter().map(Entry::score).collect();
-    let thesis: Vec<Option<Score>> =
-        entries.iter().map(|entry| entry.thesis().and_then(Score::published)).collect();
+    let beside: Vec<Option<Score>> =
+        entries.iter().map(|entry| entry.beside().and_then(Score::published)).collect();
     let table = markdown::table(&[
         Column::words("algorithm", entries.iter().map(Entry::algorithm)),
         Column::words("source", entries.iter().map(Entry::source)),
         Column::scores("score", &scores),
-        Column::scores("thesis", &thesis),
+        Column::scores(&params.reference_name, &beside),
         Column::counts("episodes", entries.iter().map(Entry::episodes)),
     ]);
     let remarks = [

@@ -2,7 +2,7 @@
 //!
 //! | kind | from | to |
 //! |---|---|---|
-//! | [`Table`] | evaluations, the thesis's values | their table as CSV and as Markdown |
+//! | [`Table`] | evaluations, published values | their table as CSV and as Markdown |
 //! | [`Leaderboard`] | named evaluations, published results | one list of both |
 //! | [`Compare`] | evaluations on the same tracks | side by side, with ratio and paired difference |
 //! | [`Select`] | candidates and their evaluations | the best candidate, and the ranking |

@@ -1,5 +1,6 @@
 //! From a list of cells to a grid: some keys run down, some across, and those with one value stand above.
 
+use crate::caption::OURS;
 use crate::markdown::{Column, escape};
 use crate::reference::Row;
 use crate::score::Score;
@@ -14,6 +15,8 @@ pub(crate) struct Cell<'a> {
     pub(crate) summary: Summary,
     /// What was published.
     pub(crate) published: Option<&'a Row>,
+    /// How many of its evaluations are of an agent whose training diverged.
+    pub(crate) diverged: usize,
 }
 
 impl Cell<'_> {
@@ -47,7 +50,8 @@ pub(crate) struct Pivot {
 
 impl Pivot {
     /// The grid of `cells` (sorted, one for a key): the keys of `across` run across, in that order, the others down.
-    pub(crate) fn new(keys: &[String], across: &[String], cells: &[Cell<'_>]) -> Self {
+    /// Published values have `source` before them.
+    pub(crate) fn new(keys: &[String], across: &[String], source: &str, cells: &[Cell<'_>]) -> Self {
         let position = |name: &String| keys.iter().position(|key| key == name);
         let constant = |at: &usize| cells.iter().all(|cell| cell.key.get(*at) == cells[0].key.get(*at));
         let (fixed, varying): (Vec<usize>, Vec<usize>) = (0..keys.len()).partition(constant);
@@ -60,6 +64,7 @@ impl Pivot {
             columns: distinct(cells, &across),
             down,
             across,
+            source,
             cells,
         };
         Self {
@@ -82,6 +87,7 @@ impl Pivot {
 /// The cells, with the positions of the keys that run down and across, and the values that those take together.
 struct Grid<'a> {
     keys: &'a [String],
+    source: &'a str,
     cells: &'a [Cell<'a>],
     down: Vec<usize>,
     across: Vec<usize>,
@@ -108,7 +114,7 @@ impl Grid<'_> {
         let mut columns: Vec<Column> =
             (0..self.down.len()).map(|level| self.row_labels(level, &lines)).collect();
         if lines.iter().any(|(_, published)| *published) {
-            let source = lines.iter().map(|(_, published)| if *published { "thesis" } else { "this run" });
+            let source = lines.iter().map(|(_, published)| if *published { self.source } else { OURS });
             columns.push(Column::words("source", source));
         }
         columns.extend(self.columns.iter().map(|column| {
@@ -166,6 +172,7 @@ mod tests {
             key: vec![format!("x{}", place % 3), format!("y{}", place / 3 % 3), format!("z{}", place / 9)],
             summary: Summary { mean: *place as f64, std: 0.0, episodes: 1 },
             published: None,
+            diverged: 0,
         };
         let mut cells: Vec<Cell<'static>> = places.iter().map(cell).collect();
         sort_by_appearance(&mut cells, |cell| &cell.key);
@@ -207,7 +214,7 @@ mod tests {
             across in prop::sample::subsequence(vec!["x", "y", "z"], 0..=3).prop_shuffle(),
         ) {
             let cells = cells(&places[..taken]);
-            let pivot = Pivot::new(&keys(&["x", "y", "z"]), &keys(&across), &cells);
+            let pivot = Pivot::new(&keys(&["x", "y", "z"]), &keys(&across), "paper", &cells);
             let mut expected: Vec<(Vec<String>, String)> =
                 cells.iter().map(|cell| (cell.key.clone(), cell.summary.mean.to_string())).collect();
             expected.sort();
@@ -217,7 +224,7 @@ mod tests {
 
     #[test]
     fn the_lead_names_what_is_fixed_and_what_runs_across() {
-        let pivot = Pivot::new(&keys(&["x", "y", "z"]), &keys(&["z", "y"]), &cells(&[0, 3, 9]));
+        let pivot = Pivot::new(&keys(&["x", "y", "z"]), &keys(&["z", "y"]), "paper", &cells(&[0, 3, 9]));
         assert_eq!(pivot.lead(), ["x: x0", "columns: z · y"]);
     }
 }

@@ -12,6 +12,8 @@ pub(crate) const PORT: &str = "scores";
 pub(crate) struct Sample<'a> {
     pub(crate) item: InputItem<'a>,
     pub(crate) scores: Vec<f64>,
+    /// True where the training of the agent that was evaluated diverged.
+    pub(crate) diverged: bool,
 }
 
 /// The evaluations that share the values of the keys, taken as one.
@@ -22,6 +24,8 @@ pub(crate) struct Group {
     pub(crate) summary: Summary,
     /// How many evaluations it holds.
     pub(crate) evaluations: usize,
+    /// How many of them are of an agent whose training diverged.
+    pub(crate) diverged: usize,
 }
 
 /// Reads the evaluations at input [`PORT`], in the order of the matrix.
@@ -40,8 +44,9 @@ pub(crate) fn read<'a>(ctx: &Ctx<'a>) -> Result<Vec<Sample<'a>>, StageError> {
     let mut samples = Vec::with_capacity(items.len());
     for item in items {
         ctx.stop_if_cancelled()?;
-        let scores = scores::read(PORT, item.path)?.iter().map(|row| row.score).collect();
-        samples.push(Sample { item, scores });
+        let rows = scores::read(PORT, item.path)?;
+        let diverged = rows.iter().any(|row| row.diverged_at_step.is_some());
+        samples.push(Sample { item, scores: rows.iter().map(|row| row.score).collect(), diverged });
     }
     Ok(samples)
 }
@@ -81,7 +86,8 @@ pub(crate) fn pool(samples: &[Sample<'_>], keys: &[String], hint: &str) -> Resul
         .map(|(key, members)| {
             let scores: Vec<f64> = members.iter().flat_map(|sample| &sample.scores).copied().collect();
             let summary = summarise(&scores, &members[0].item)?;
-            Ok(Group { key, summary, evaluations: members.len() })
+            let diverged = members.iter().filter(|sample| sample.diverged).count();
+            Ok(Group { key, summary, evaluations: members.len(), diverged })
         })
         .collect()
 }

@@ -1,4 +1,4 @@
-//! The kind `table`: evaluations by their labels, beside the values that the thesis reports.
+//! The kind `table`: evaluations by their labels, beside published values.
 //!
 //! The CSV has one line a combination of keys and is meant for programs; the Markdown is the same as a grid for people.
 
@@ -14,7 +14,7 @@ use crate::reference::{self, Published, Reference, Row};
 use crate::samples::{self, Group, Sample};
 
 /// The columns that follow the keys in the CSV.
-const VALUES: [&str; 5] = ["mean", "std", "episodes", "thesis_mean", "thesis_std"];
+const VALUES: [&str; 6] = ["mean", "std", "episodes", "diverged", "reference_mean", "reference_std"];
 
 /// Parameters of [`Table`].
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
@@ -24,7 +24,7 @@ pub struct TableParams {
     pub title: String,
     /// The profile at which the table is made; printed with it.
     pub profile: String,
-    /// The profile whose sizes are those of the thesis. A table made at any other says that its sizes are reduced.
+    /// The profile whose sizes are those of the experiment. A table made at any other says that its sizes are reduced.
     #[serde(default = "caption::full_profile")]
     pub full_profile: String,
     /// The labels that tell the cells apart: the first columns of the CSV, in this order. Evaluations that differ in
@@ -33,6 +33,9 @@ pub struct TableParams {
     /// The keys that run across in the Markdown table, the outer one first; the others run down.
     #[serde(default)]
     pub columns: Vec<String>,
+    /// Whose numbers the input `reference` has: what its rows are called in the Markdown table.
+    #[serde(default = "caption::reference_name")]
+    pub reference_name: String,
     /// A sentence to print under the Markdown table.
     #[serde(default)]
     pub note: String,
@@ -49,10 +52,10 @@ impl TableParams {
 ///
 /// Inputs: `scores`, any number of evaluations, each with its labels; `reference`, if given, a CSV file with the keys,
 /// `mean` and, where it was published, `std` as columns. Rows of the reference that match no evaluation are left out; evaluations that match no
-/// row of the reference have empty `thesis_mean` and `thesis_std`.
+/// row of the reference have empty `reference_mean` and `reference_std`.
 ///
-/// Outputs: `csv` with the columns `<keys>,mean,std,episodes,thesis_mean,thesis_std` (`mean` and `std` with two
-/// decimals, the thesis's numbers as the reference writes them), and `markdown`, the same rounded as in the thesis.
+/// Outputs: `csv` with the columns `<keys>,mean,std,episodes,diverged,reference_mean,reference_std` (`mean` and `std` with two
+/// decimals, published numbers as the reference writes them), and `markdown`, the same in whole numbers.
 /// `std` is the population standard deviation over the episodes (see [`crate::stats::Summary::std`]).
 ///
 /// Rows and columns stand in the order in which their values first appear at the input, which is that of the matrix.
@@ -60,13 +63,14 @@ pub struct Table;
 
 impl Describe for Table {
     const KIND: &'static str = "table";
-    const REVISION: u32 = 1;
-    const ABOUT: &'static str = "tabulate evaluations by their labels, beside the thesis's values";
+    const REVISION: u32 = 2;
+    const ABOUT: &'static str = "tabulate evaluations by their labels, beside published values";
     const SEEDED: bool = false;
     type Params = TableParams;
 
     fn check(params: &TableParams, problems: &mut Problems) {
         params.caption().check(problems);
+        caption::check_reference_name(&params.reference_name, problems);
         check_keys(&params.keys, problems);
         for (n, column) in params.columns.iter().enumerate() {
             let path = format!("columns.{n}");
@@ -88,7 +92,7 @@ impl Describe for Table {
             .optional(
                 reference::PORT,
                 Artifact::File,
-                "the thesis's values: a CSV file of the keys, mean and std",
+                "published values: a CSV file of the keys, mean and std",
             )
             .output("csv", Artifact::Table, "csv", "one line a combination of the keys")
             .output("markdown", Artifact::Table, "md", "the same as a grid for people")
@@ -134,6 +138,7 @@ fn cells<'a>(groups: &[Group], reference: Option<&'a Reference>) -> Vec<Cell<'a>
         key: group.key.clone(),
         summary: group.summary,
         published: reference.and_then(|reference| reference.get(&group.key)),
+        diverged: group.diverged,
     };
     let mut cells: Vec<Cell<'a>> = groups.iter().map(cell).collect();
     sort_by_appearance(&mut cells, |cell| &cell.key);
@@ -149,7 +154,9 @@ fn csv_text(params: &TableParams, cells: &[Cell<'_>]) -> Result<Vec<u8>, Box<dyn
         };
         let (mean, std) = (precise(cell.summary.mean), precise(cell.summary.std));
         let episodes = cell.summary.episodes.to_string();
-        let values = [&mean, &std, &episodes, published(|row| &row.mean), published(|row| &row.std)];
+        let diverged = cell.diverged.to_string();
+        let (reference_mean, reference_std) = (published(|row| &row.mean), published(|row| &row.std));
+        let values = [mean.as_str(), &std, &episodes, &diverged, reference_mean, reference_std];
         writer.write_record(cell.key.iter().map(String::as_str).chain(values))?;
     }
     Ok(writer.into_inner()?)
@@ -162,13 +169,14 @@ fn page(
     cells: &[Cell<'_>],
     with_reference: bool,
 ) -> String {
-    let pivot = Pivot::new(&params.keys, &params.columns, cells);
+    let pivot = Pivot::new(&params.keys, &params.columns, &params.reference_name, cells);
     let mut remarks = vec![statistic(cells.iter().map(|cell| cell.summary.episodes))];
     if groups.iter().any(|group| group.evaluations > 1) {
         remarks.push(pooling(samples, &params.keys));
     }
+    remarks.extend(divergence(&params.keys, cells));
     if with_reference {
-        remarks.push(coverage(cells));
+        remarks.push(format!("{}: {}", escape(&params.reference_name), coverage(cells)));
     }
     params.caption().page(&pivot.lead(), &markdown::table(&pivot.columns), &remarks)
 }
@@ -180,14 +188,26 @@ fn pooling(samples: &[Sample<'_>], keys: &[String]) -> String {
     format!("the episodes of a cell are pooled over {}", axes.collect::<Vec<_>>().join(" and "))
 }
 
+/// Which cells hold agents whose training diverged, where there are any.
+fn divergence(keys: &[String], cells: &[Cell<'_>]) -> Option<String> {
+    let name = |cell: &Cell<'_>| {
+        let labels = keys.iter().zip(&cell.key).map(|(key, value)| format!("{key}={value}"));
+        escape(&labels.collect::<Vec<_>>().join(", "))
+    };
+    let marked: Vec<String> = cells.iter().filter(|cell| cell.diverged > 0).map(name).collect();
+    (!marked.is_empty()).then(|| {
+        format!("**training diverged**, and the last finite weights were evaluated: {}", marked.join("; "))
+    })
+}
+
 /// For how many of the cells the reference has a value.
 fn coverage(cells: &[Cell<'_>]) -> String {
     let known = |cell: &&Cell<'_>| cell.published.is_some_and(|row| row.mean.is_some());
     match (cells.iter().filter(known).count(), cells.len()) {
-        (0, _) => "thesis: no value for any of these cells".to_owned(),
-        (known, all) if known == all => "thesis: mean ± standard deviation as reported there".to_owned(),
+        (0, _) => "no value for any of these cells".to_owned(),
+        (known, all) if known == all => "mean ± standard deviation as reported there".to_owned(),
         (known, all) => {
-            format!("thesis: mean ± standard deviation as reported there, for {known} of the {all} cells")
+            format!("mean ± standard deviation as reported there, for {known} of the {all} cells")
         }
     }
 }

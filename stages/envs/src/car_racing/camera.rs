@@ -1,5 +1,7 @@
 //! The camera: from the world to the original's window of 1000 x 800 and on to the picture.
 
+use dril_stage_api::math;
+
 use super::scene::Scene;
 use crate::raster::Dot;
 
@@ -27,7 +29,7 @@ impl Camera {
     /// The view of the original: it turns with the velocity, so that a sliding car is seen from the side.
     pub fn following_velocity(scene: &Scene, size: [usize; 2]) -> Self {
         let [vx, vy] = scene.hull.velocity;
-        let speed = vx.hypot(vy);
+        let speed = math::hypot(vx, vy);
         if speed > STANDING {
             Self::new(scene, [vx / speed, vy / speed], size)
         } else {
@@ -52,7 +54,7 @@ impl Camera {
             matrix: [right.map(|v| v * zoom * scale[0]), up.map(|v| -v * zoom * scale[1])],
             origin: [CAR_AT[0] * scale[0], (WINDOW[1] - CAR_AT[1]) * scale[1]],
             car,
-            middle: (middle, WINDOW[0].hypot(WINDOW[1]) / 2.0 / zoom),
+            middle: (middle, math::hypot(WINDOW[0], WINDOW[1]) / 2.0 / zoom),
         }
     }
 

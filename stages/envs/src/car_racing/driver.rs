@@ -1,20 +1,23 @@
 //! A simple driver that looks at the track ahead; the recordings' closed-loop laps were driven by the same rules.
 
+use std::f64::consts::{PI, TAU};
+
+use dril_stage_api::math;
+
 use crate::car_racing::car::Controls;
 use crate::car_racing::simulation::Simulation;
 use crate::car_racing::track::WayPoint;
-use std::f64::consts::{PI, TAU};
 
 /// What the driver does now.
 pub fn drive(simulation: &Simulation) -> Controls {
     let (hull, points) = (simulation.car().hull(), &simulation.track().way_points);
     let nearest = nearest(points, hull.position);
-    let speed = hull.velocity[0].hypot(hull.velocity[1]);
+    let speed = math::hypot(hull.velocity[0], hull.velocity[1]);
     let at = |ahead: usize| &points[(nearest + ahead) % points.len()];
     let target = at((3.0 + 0.04 * speed) as usize);
     let [dx, dy] = [target.x - hull.position[0], target.y - hull.position[1]];
     let [cos, sin] = hull.cos_sin;
-    let error = (cos * dx + sin * dy).atan2(-sin * dx + cos * dy);
+    let error = math::atan2(cos * dx + sin * dy, -sin * dx + cos * dy);
     let turn = |k: usize| wrapped(at(4 * (k + 1)).beta - at(4 * k).beta).abs();
     let sharpest = (0..3).map(turn).fold(0.0, f64::max);
     let wanted = 70.0 / (1.0 + 0.5 * sharpest);
@@ -27,7 +30,10 @@ pub fn drive(simulation: &Simulation) -> Controls {
 }
 
 fn nearest(points: &[WayPoint], [x, y]: [f64; 2]) -> usize {
-    let distance = |point: &WayPoint| (point.x - x).hypot(point.y - y);
+    let distance = |point: &WayPoint| {
+        let [dx, dy] = [point.x - x, point.y - y];
+        dx * dx + dy * dy
+    };
     let closer = |best: (usize, f64), (i, point): (usize, &WayPoint)| {
         let d = distance(point);
         if d < best.1 { (i, d) } else { best }

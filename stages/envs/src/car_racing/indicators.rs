@@ -1,5 +1,7 @@
 //! The black bar with its gauges: speed, wheel speeds, steering and yaw rate.
 
+use dril_stage_api::math;
+
 use super::camera::WINDOW;
 use super::palette::{self, Colour, Inks};
 use super::scene::Scene;
@@ -27,7 +29,7 @@ fn gauges(scene: &Scene<'_>) -> [(f64, Gauge); 7] {
         (value, ([place * UNIT[0], 2.0 * UNIT[1]], [end, 4.0 * UNIT[1]], colour))
     };
     [
-        upright(5.0, vx.hypot(vy), 0.02, palette::WHITE),
+        upright(5.0, math::hypot(vx, vy), 0.02, palette::WHITE),
         upright(7.0, scene.omegas[0], 0.01, palette::BLUE),
         upright(8.0, scene.omegas[1], 0.01, palette::BLUE),
         upright(9.0, scene.omegas[2], 0.01, palette::PURPLE),

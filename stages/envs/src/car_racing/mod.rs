@@ -16,6 +16,7 @@ pub mod render;
 pub mod scene;
 pub mod shape;
 pub mod simulation;
+pub mod steering_stop;
 mod text;
 pub mod tiles;
 pub mod track;

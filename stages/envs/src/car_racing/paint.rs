@@ -1,5 +1,7 @@
 //! Paints road, kerbs and car on a surface, in the order of the original.
 
+use dril_stage_api::math;
+
 use super::camera::Camera;
 use super::palette::{self, Colour, Inks};
 use super::scene::Scene;
@@ -90,7 +92,7 @@ impl<S: Surface> Painter<'_, S> {
 
 /// From where to where along a wheel its mark is seen, in units of [`SIZE`]; none while it is underneath.
 fn wheel_mark(phase: f64) -> Option<[f64; 2]> {
-    let ends = [phase, phase + MARK].map(f64::sin_cos);
+    let ends = [phase, phase + MARK].map(math::sin_cos);
     if ends.iter().all(|(sin, _)| *sin > 0.0) {
         return None;
     }

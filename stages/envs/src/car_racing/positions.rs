@@ -6,6 +6,8 @@
 //! the other. Its reset leans on that, too: it creates the wheels beside an unrotated hull and lets this solver pull
 //! them into place.
 
+use dril_stage_api::math;
+
 use super::shape::{self, WHEELS};
 use super::tyre::{DT, SIZE};
 
@@ -166,7 +168,7 @@ fn move_body(pose: &mut Pose, velocity: &mut Velocity) {
 
 /// A vector turned by an angle.
 pub fn rotate(angle: f32, [x, y]: [f32; 2]) -> [f32; 2] {
-    let (sin, cos) = angle.sin_cos();
+    let (sin, cos) = math::sin_cosf(angle);
     [cos * x - sin * y, sin * x + cos * y]
 }
 

@@ -150,6 +150,31 @@ proptest! {
 }
 
 #[test]
+fn an_episode_restored_while_a_stop_holds_the_steering_goes_on_bit_by_bit() {
+    let held = |env: &CarRacing| env.simulation().unwrap().car().world().stops()[0].hold();
+    let mut one = env(1000);
+    one.reset(11).unwrap();
+    for _ in 0..20 {
+        one.step(&[1.0, 0.3]).unwrap();
+    }
+    assert!(held(&one) > 1.0, "{}", held(&one));
+    let mut other = env(1000);
+    other.restore(&one.snapshot()).unwrap();
+    assert_eq!(held(&one), held(&other));
+    // Called back slowly: the stop holds on for some steps, then lets go.
+    let steering = -one.simulation().unwrap().car().world().joint_angle(0) as f32 - 0.004;
+    let mut holding = Vec::new();
+    for _ in 0..40 {
+        assert_eq!(one.step(&[steering, 0.3]), other.step(&[steering, 0.3]));
+        assert_eq!(one.frame(), other.frame());
+        let [poses, again] = [&one, &other].map(|env| *env.simulation().unwrap().car().world().poses());
+        assert_eq!(poses, again);
+        holding.push(held(&one) > 0.0);
+    }
+    assert!(holding[2] && !holding[39], "{holding:?}");
+}
+
+#[test]
 fn a_snapshot_that_cannot_be_is_refused() {
     let mut env = env(2);
     let snapshot = EnvSnapshot { seed: Some(0), actions: vec![0.0; 6] };

@@ -2,6 +2,8 @@
 
 use std::ops::Range;
 
+use dril_stage_api::math;
+
 use super::camera::WINDOW;
 use crate::CarRacingVersion;
 
@@ -230,7 +232,7 @@ fn distance([x, y]: [f64; 2], from: [f64; 2], to: [f64; 2]) -> f64 {
     let [dx, dy] = [to[0] - from[0], to[1] - from[1]];
     let (px, py) = (x - from[0], y - from[1]);
     let along = ((px * dx + py * dy) / (dx * dx + dy * dy)).clamp(0.0, 1.0);
-    (px - along * dx).hypot(py - along * dy)
+    math::hypot(px - along * dx, py - along * dy)
 }
 
 #[cfg(test)]

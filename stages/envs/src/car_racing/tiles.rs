@@ -1,5 +1,7 @@
 //! Which tiles the wheels and the hull touch, which were visited, and which have lost their shade of grey.
 
+use dril_stage_api::math;
+
 use super::shape::{HULL, MOST_CORNERS, WHEEL_HALF};
 use super::track::Track;
 use super::tyre::SIZE;
@@ -46,7 +48,7 @@ impl Tiles {
             let corners = corners.map(|corner| corner.map(|v| v as f32));
             let centre = [0, 1].map(|axis| corners.iter().map(|c| c[axis]).sum::<f32>() / 4.0);
             let reach =
-                corners.iter().map(|c| (c[0] - centre[0]).hypot(c[1] - centre[1])).fold(0.0, f32::max);
+                corners.iter().map(|c| math::hypotf(c[0] - centre[0], c[1] - centre[1])).fold(0.0, f32::max);
             tiles.centres.push(centre);
             tiles.reaches.push(reach);
             tiles.corners.push(corners);

@@ -3,6 +3,8 @@
 
 use std::f64::consts::{PI, TAU};
 
+use dril_stage_api::math;
+
 /// Checkpoints around the origin.
 const CHECKPOINTS: usize = 12;
 /// Draws that one attempt takes: angle and radius of each checkpoint.
@@ -116,7 +118,7 @@ fn checkpoints(draws: &[f64; DRAWS]) -> [Checkpoint; CHECKPOINTS] {
             _ if c == CHECKPOINTS - 1 => (sector, 1.5 * RADIUS),
             _ => (sector + draws[2 * c], draws[2 * c + 1]),
         };
-        Checkpoint { alpha, position: [radius * alpha.cos(), radius * alpha.sin()] }
+        Checkpoint { alpha, position: [radius * math::cos(alpha), radius * math::sin(alpha)] }
     })
 }
 
@@ -126,7 +128,7 @@ fn walk_checkpoints(checkpoints: &[Checkpoint; CHECKPOINTS], walk: &mut Vec<WayP
     let [mut x, mut y] = [1.5 * RADIUS, 0.0];
     let (mut beta, mut destination, mut laps, mut other_side) = (0.0_f64, 0, 0, false);
     while walk.len() < WALK_LIMIT && laps <= 4 {
-        let mut alpha = y.atan2(x);
+        let mut alpha = math::atan2(y, x);
         if other_side && alpha > 0.0 {
             laps += 1;
             other_side = false;
@@ -136,7 +138,7 @@ fn walk_checkpoints(checkpoints: &[Checkpoint; CHECKPOINTS], walk: &mut Vec<WayP
             alpha += TAU;
         }
         let target = next_checkpoint(checkpoints, &mut destination, &mut alpha);
-        let (sin, cos) = beta.sin_cos();
+        let (sin, cos) = math::sin_cos(beta);
         let across = SCALE * (cos * (target[0] - x) + sin * (target[1] - y));
         while beta - alpha > 1.5 * PI {
             beta -= TAU;
@@ -179,8 +181,8 @@ fn closed_lap(walk: &[WayPoint]) -> Option<&[WayPoint]> {
     let (last, first) = (crossings.next()?, crossings.next()?);
     let lap = walk.get(first..last - 1)?;
     let (head, tail) = (lap.first()?, lap.last()?);
-    let (sin, cos) = head.beta.sin_cos();
-    let gap = (cos * (head.x - tail.x)).hypot(sin * (head.y - tail.y));
+    let (sin, cos) = math::sin_cos(head.beta);
+    let gap = math::hypot(cos * (head.x - tail.x), sin * (head.y - tail.y));
     (gap <= DETAIL_STEP).then_some(lap)
 }
 
@@ -190,7 +192,7 @@ fn before(i: usize, n: usize, back: usize) -> usize {
 
 /// Two points of the cross section at a way point, `from` and `to` units to the right of the centre.
 fn section(point: &WayPoint, from: f64, to: f64) -> [Point; 2] {
-    let (sin, cos) = point.beta.sin_cos();
+    let (sin, cos) = math::sin_cos(point.beta);
     [from, to].map(|right| [point.x + right * cos, point.y + right * sin])
 }
 

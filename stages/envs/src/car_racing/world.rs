@@ -3,6 +3,7 @@
 //! Nothing collides in this game, so the engine holds no collision shapes: which tiles a wheel touches is decided by
 //! [`super::tiles`]. The engine solves velocities; [`super::positions`] makes positions of them.
 
+use dril_stage_api::math;
 use rapier2d::prelude::{
     GenericJoint, ImpulseJointHandle, IntegrationParameters, JointAxis, MassProperties, PhysicsWorld,
     Pose as Isometry, RevoluteJointBuilder, RigidBody, RigidBodyBuilder, RigidBodyHandle, Rotation, Vector,
@@ -10,11 +11,10 @@ use rapier2d::prelude::{
 
 use super::positions::{self, BODIES, Pose, Positions, Velocity, anchor, rotate};
 use super::shape;
-use super::tyre::{DT, SIZE};
+use super::steering_stop::{MOTOR_TORQUE, SteeringStop};
+use super::tyre::DT;
 use crate::mass::Mass;
 
-/// Strongest torque of a steering motor.
-const MOTOR_TORQUE: f32 = (180.0 * 900.0 * SIZE * SIZE) as f32;
 /// Gain of the engine's motor; large means that the motor's speed is met, as in the original.
 const MOTOR_GAIN: f32 = 1e6;
 /// Sweeps of the velocity solver. The hull weighs 117 wheels, so a single one does not converge.
@@ -35,7 +35,7 @@ pub struct Motion {
 
 impl Motion {
     fn new(pose: &Pose, velocity: &Velocity) -> Self {
-        let (sin, cos) = f64::from(pose.angle).sin_cos();
+        let (sin, cos) = math::sin_cos(f64::from(pose.angle));
         Self {
             position: [f64::from(pose.x), f64::from(pose.y)],
             cos_sin: [cos, sin],
@@ -60,6 +60,8 @@ pub struct CarWorld {
     poses: [Pose; BODIES],
     velocities: [Velocity; BODIES],
     motions: [Motion; BODIES],
+    stops: [SteeringStop; 4],
+    wheel_inertia: f32,
 }
 
 impl CarWorld {
@@ -80,6 +82,8 @@ impl CarWorld {
             poses,
             velocities: [Velocity::default(); BODIES],
             motions: [Motion::default(); BODIES],
+            stops: [SteeringStop::default(); 4],
+            wheel_inertia: masses[1].inertia as f32,
         };
         world.hand_over();
         world
@@ -111,10 +115,16 @@ impl CarWorld {
         f64::from(self.poses[i + 1].angle - self.poses[0].angle)
     }
 
-    /// Gives all bodies other poses and velocities.
+    /// Gives all bodies other poses and velocities. The steering joints forget what pressed them.
     pub fn place(&mut self, poses: [Pose; BODIES], velocities: [Velocity; BODIES]) {
         (self.poses, self.velocities) = (poses, velocities);
+        self.stops = [SteeringStop::default(); 4];
         self.hand_over();
+    }
+
+    /// What holds each wheel's steering joint at its stop.
+    pub fn stops(&self) -> &[SteeringStop; 4] {
+        &self.stops
     }
 
     /// Poses of the bodies.
@@ -132,9 +142,13 @@ impl CarWorld {
             wheel.add_force(Vector::new(x as f32, y as f32), true);
         }
         self.physics.step();
-        for (velocity, handle) in self.velocities.iter_mut().zip(self.bodies) {
-            let body = &self.physics.bodies[handle];
-            *velocity = Velocity { linear: [body.linvel().x, body.linvel().y], spin: body.angvel() };
+        for i in 0..BODIES {
+            let body = &self.physics.bodies[self.bodies[i]];
+            if i > 0 {
+                // Nothing but its joint's motor and stop turns a wheel.
+                self.stops[i - 1].end_step(self.wheel_inertia * (body.angvel() - self.velocities[i].spin));
+            }
+            self.velocities[i] = Velocity { linear: [body.linvel().x, body.linvel().y], spin: body.angvel() };
         }
         self.positions.advance(&mut self.poses, &mut self.velocities);
         self.hand_over();
@@ -143,14 +157,15 @@ impl CarWorld {
     /// Sets the steering motors' speeds, radians per second. Not by `get_mut`: for each joint got so the engine would
     /// look through its islands in the next step, and allocate a list of them.
     fn steer(&mut self, speeds: [f64; 4]) {
-        let (joints, poses) = (&self.joints, &self.poses);
+        let targets: [f32; 4] = std::array::from_fn(|i| {
+            let angle = self.poses[i + 1].angle - self.poses[0].angle;
+            let rate = self.velocities[i + 1].spin - self.velocities[0].spin;
+            self.stops[i].joint_speed(positions::stop(angle), speeds[i] as f32, rate)
+        });
+        let joints = &self.joints;
         self.physics.impulse_joints.map_attached_joints_mut(self.bodies[0], |_, _, handle, joint| {
             let Some(i) = joints.iter().position(|joint| *joint == handle) else { return };
-            let speed = speeds[i] as f32;
-            let stop = positions::stop(poses[i + 1].angle - poses[0].angle);
-            // At its stop a joint turns back only.
-            let target = if stop * speed > 0.0 { 0.0 } else { speed };
-            joint.data.motors[JointAxis::AngX as usize].target_vel = target;
+            joint.data.motors[JointAxis::AngX as usize].target_vel = targets[i];
         });
     }
 

@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use dril_stage_api::math;
+
 /// One line: a measure of one script, over its seeds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
@@ -111,7 +113,7 @@ fn figure(value: f64) -> String {
     if value == 0.0 {
         "0".to_owned()
     } else if (1e-3..1e5).contains(&value.abs()) {
-        let digits = 2 - value.abs().log10().floor() as i32;
+        let digits = 2 - math::log10(value.abs()).floor() as i32;
         format!("{value:.*}", digits.max(0) as usize)
     } else {
         format!("{value:.1e}")

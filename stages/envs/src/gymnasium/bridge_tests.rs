@@ -10,7 +10,7 @@ fn env(id: &str) -> GymnasiumEnv {
 
 fn several(count: usize, workers: usize) -> VecEnv {
     let envs = start(&fake(), &GymnasiumConfig::new("counter"), count, workers).unwrap();
-    let spaces = envs[0].spaces.clone();
+    let spaces = envs[0].spaces;
     VecEnv::of(envs.into_iter().map(|env| Box::new(env) as Box<dyn Env>).collect(), spaces, workers).unwrap()
 }
 

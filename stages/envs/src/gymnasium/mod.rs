@@ -77,11 +77,11 @@ pub(crate) fn spaces(config: &GymnasiumConfig) -> Result<(ObservationSpace, Acti
     let mut asked = ASKED.lock().unwrap_or_else(PoisonError::into_inner);
     let asked = asked.get_or_insert_default();
     if let Some(spaces) = asked.get(&name) {
-        return Ok(spaces.clone());
+        return Ok(*spaces);
     }
     let worker = Worker::start(&Launch::new(python()?), config, 1, false)?;
-    let spaces = (worker.shown().space(), worker.action().clone());
-    asked.insert(name, spaces.clone());
+    let spaces = (worker.shown().space(), *worker.action());
+    asked.insert(name, spaces);
     Ok(spaces)
 }
 
@@ -162,7 +162,7 @@ impl GymnasiumEnv {
     fn new(launch: Launch, config: GymnasiumConfig, worker: Arc<Mutex<Worker>>, index: usize) -> Self {
         let (shown, action) = {
             let worker = locked(&worker);
-            (worker.shown(), worker.action().clone())
+            (worker.shown(), *worker.action())
         };
         let view = View::new(shown);
         Self { launch, config, worker, index, spaces: (shown.space(), action), view, episode: None }
@@ -225,11 +225,11 @@ fn le_bytes(action: &[f32]) -> Vec<u8> {
 
 impl Env for GymnasiumEnv {
     fn observation_space(&self) -> ObservationSpace {
-        self.spaces.0.clone()
+        self.spaces.0
     }
 
     fn action_space(&self) -> ActionSpace {
-        self.spaces.1.clone()
+        self.spaces.1
     }
 
     fn reset(&mut self, seed: u64) -> Result<(), EnvError> {

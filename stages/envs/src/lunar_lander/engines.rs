@@ -1,5 +1,7 @@
 //! The lander's engines: what an action pushes with, and where. A pure function; the nozzles' noise comes from outside.
 
+use dril_stage_api::math;
+
 use super::shape::SCALE;
 
 /// Strength of the main engine, impulse per unit of its offset.
@@ -30,7 +32,7 @@ pub struct Push {
 /// `position` and `angle` of the lander's origin; `dispersion`: two draws in [-1, 1).
 pub fn fire(action: [f64; 2], position: [f64; 2], angle: f64, dispersion: [f64; 2]) -> [Push; 2] {
     let [along, across] = dispersion.map(|draw| draw / SCALE);
-    let (sin, cos) = angle.sin_cos();
+    let (sin, cos) = math::sin_cos(angle);
     let (tip, side) = ([sin, cos], [-cos, sin]);
     let mut pushes = [Push::default(); 2];
     if action[0] > 0.0 {

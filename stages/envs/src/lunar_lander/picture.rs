@@ -1,5 +1,7 @@
 //! The picture for people: ground with its pad and flags, the lander on its legs, and what the engines do.
 
+use dril_stage_api::math;
+
 use super::engines::Push;
 use super::shape::{HEIGHT, LANDER, LEG, SCALE, WIDTH};
 use super::simulation::Simulation;
@@ -141,7 +143,7 @@ impl Painter {
     /// `nozzle` in the lander's frame; `length` and half the width at full power, world units.
     fn flame(&mut self, lander: &Motion, push: Push, nozzle: [f64; 2], length: f64, half: f64) {
         let [x, y] = push.impulse;
-        let strength = x.hypot(y);
+        let strength = math::hypot(x, y);
         if push.power == 0.0 || strength == 0.0 {
             return;
         }
@@ -176,7 +178,7 @@ impl Painter {
         let pixel = (1.0 / SCALE) as f32;
         let [ax, ay] = body.point([side * 14.0 * pixel, -3.0 * pixel]).map(f64::from);
         let [bx, by] = leg.point([0.0, 5.0 * pixel]).map(f64::from);
-        let length = (bx - ax).hypot(by - ay).max(1e-9);
+        let length = math::hypot(bx - ax, by - ay).max(1e-9);
         let [dx, dy] = [0.03 * (ay - by) / length, 0.03 * (bx - ax) / length];
         self.fill(&[[ax + dx, ay + dy], [bx + dx, by + dy], [bx - dx, by - dy], [ax - dx, ay - dy]], OUTLINE);
     }
@@ -193,6 +195,6 @@ impl Painter {
 
 /// The push's part to the lander's right.
 fn crosswise(lander: &Motion, push: Push) -> f64 {
-    let (sin, cos) = f64::from(lander.angle).sin_cos();
+    let (sin, cos) = math::sin_cos(f64::from(lander.angle));
     cos * push.impulse[0] + sin * push.impulse[1]
 }

@@ -5,6 +5,8 @@
 //! on the order of its corrections, so they are made here in the same order: first velocities, joint by joint (motor,
 //! then stop and anchor together), then positions (stop, then anchor). From then on the physics engine takes over.
 
+use dril_stage_api::math;
+
 use super::shape::{
     self, DT, GRAVITY, HEIGHT, LEG_SPEED, LEG_START, LEG_SWING, LEG_TORQUE, SIDES, WIDTH, leg_arm,
 };
@@ -214,7 +216,7 @@ impl Joint {
             body.centre[1] += sign * body.inverse_mass * pull[1];
             body.angle += sign * body.inverse_inertia * (arm[0] * pull[1] - arm[1] * pull[0]);
         }
-        gap[0].hypot(gap[1]) > SLOP || beyond > ANGLE_SLOP
+        math::hypotf(gap[0], gap[1]) > SLOP || beyond > ANGLE_SLOP
     }
 }
 
@@ -251,6 +253,6 @@ fn solve3(k: &[[f32; 3]; 3], rhs: [f32; 3]) -> [f32; 3] {
 }
 
 fn turned(angle: f32, [x, y]: [f32; 2]) -> [f32; 2] {
-    let (sin, cos) = angle.sin_cos();
+    let (sin, cos) = math::sin_cosf(angle);
     [cos * x - sin * y, sin * x + cos * y]
 }

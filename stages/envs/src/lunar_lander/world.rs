@@ -6,6 +6,7 @@
 //! The engine takes the first body's generalised velocity for that of its centre of mass where it solves, and for that
 //! of its origin where it moves. So the body's origin lies in its centre of mass here, and the original's beside it.
 
+use dril_stage_api::math;
 use rapier2d::prelude::{
     CoefficientCombineRule, Collider, ColliderBuilder, Group, IntegrationParameters, InteractionGroups,
     InteractionTestMode, JointAxis, MassProperties, MultibodyJointHandle, PhysicsWorld, RevoluteJointBuilder,
@@ -51,7 +52,7 @@ pub struct Motion {
 impl Motion {
     /// The point with these coordinates in the body's frame.
     pub fn point(&self, [x, y]: [f32; 2]) -> [f32; 2] {
-        let (sin, cos) = self.angle.sin_cos();
+        let (sin, cos) = math::sin_cosf(self.angle);
         [self.position[0] + cos * x - sin * y, self.position[1] + sin * x + cos * y]
     }
 }
@@ -175,7 +176,7 @@ fn moving([vx, vy]: [f32; 2], spin: f32, arm: [f32; 2]) -> [f32; 2] {
 }
 
 fn turned(angle: f32, [x, y]: [f32; 2]) -> [f32; 2] {
-    let (sin, cos) = angle.sin_cos();
+    let (sin, cos) = math::sin_cosf(angle);
     [cos * x - sin * y, sin * x + cos * y]
 }
 

@@ -1,47 +1,60 @@
-//! One of several choices, as functions over tensors. A choice is a number from 0, kept as `f32` like other actions.
+//! One of several choices: closed forms over one row of logits, in double precision. A choice is a number from 0, kept
+//! as `f32` like other actions.
+//!
+//! With p = softmax(logits) and H = −Σ p ln p: d ln p(c) / d logit(k) = \[k = c\] − p(k) and
+//! dH / d logit(k) = −p(k) (ln p(k) + H).
 
-use tch::{Kind, Tensor};
+use dril_stage_api::{draw, math};
+use rand::Rng;
 
-/// The logarithm of the chosen probability: choices [batch, 1], result [batch].
-pub fn log_prob(logits: &Tensor, choices: &Tensor) -> Tensor {
-    logits.log_softmax(-1, Kind::Float).gather(1, &choices.to_kind(Kind::Int64), false).squeeze_dim(1)
+use super::distribution::{Weights, add};
+
+/// ln Σ exp(logit): what is to be taken off the logits to make them logarithms of probabilities.
+fn log_sum(logits: &[f32]) -> f64 {
+    let highest = f64::from(logits.iter().copied().fold(f32::NEG_INFINITY, f32::max));
+    let sum: f64 = logits.iter().map(|&logit| math::exp(f64::from(logit) - highest)).sum();
+    highest + math::ln(sum)
 }
 
-/// −Σ p ln p, [batch].
-pub fn entropy(logits: &Tensor) -> Tensor {
-    let logs = logits.log_softmax(-1, Kind::Float);
-    -(logs.exp() * logs).sum_dim_intlist(-1, false, None)
+/// The logarithms of the probabilities.
+fn logs(logits: &[f32]) -> impl Iterator<Item = f64> + '_ {
+    let log_sum = log_sum(logits);
+    logits.iter().map(move |&logit| f64::from(logit) - log_sum)
 }
 
-/// The mean of −ln p over the choices [batch, 1]; a scalar.
-pub fn cross_entropy(logits: &Tensor, choices: &Tensor) -> Tensor {
-    -log_prob(logits, choices).mean(Kind::Float)
+/// The logarithm of the chosen probability; the choice must be one of the logits'.
+pub(super) fn log_prob(logits: &[f32], choice: f32) -> f64 {
+    f64::from(logits[choice as usize]) - log_sum(logits)
 }
 
-/// The likeliest choice, [batch, 1].
-pub fn likeliest(logits: &Tensor) -> Tensor {
-    logits.argmax(-1, true).to_kind(Kind::Float)
+/// −Σ p ln p.
+pub(super) fn entropy(logits: &[f32]) -> f64 {
+    -logs(logits).map(|log| math::exp(log) * log).sum::<f64>()
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn log_probability_and_entropy_equal_their_closed_forms() {
-        crate::fast::prepare();
-        // Probabilities 1/2, 1/4, 1/4.
-        let logits = Tensor::from_slice(&[2.0_f32.ln(), 0.0, 0.0, 0.0, 0.0, 2.0_f32.ln()]).view([2, 3]);
-        let choices = Tensor::from_slice(&[0.0_f32, 1.0]).view([2, 1]);
-        let found = log_prob(&logits, &choices);
-        assert_eq!(found.size(), [2]);
-        for (row, wanted) in [0.5_f64.ln(), 0.25_f64.ln()].into_iter().enumerate() {
-            assert!((found.double_value(&[row as i64]) - wanted).abs() < 1e-6);
+/// The first of the likeliest.
+pub(super) fn likeliest(logits: &[f32]) -> f32 {
+    let mut best = 0;
+    for (choice, logit) in logits.iter().enumerate() {
+        if *logit > logits[best] {
+            best = choice;
         }
-        let wanted = 1.5 * 2.0_f64.ln();
-        assert!((entropy(&logits).double_value(&[1]) - wanted).abs() < 1e-6);
-        let cross = cross_entropy(&logits, &choices).double_value(&[]);
-        assert!((cross - wanted).abs() < 1e-6, "the mean of ln 2 and ln 4: {cross}");
-        assert_eq!(likeliest(&logits).double_value(&[1, 0]), 2.0);
+    }
+    best as f32
+}
+
+/// Draws a choice. Logits that are not numbers give the last one: the update that follows reports them.
+pub(super) fn sample<R: Rng + ?Sized>(logits: &[f32], rng: &mut R) -> f32 {
+    draw::categorical(rng, logs(logits).map(math::exp)) as f32
+}
+
+/// Adds the gradients for the logits.
+pub(super) fn add_gradient(logits: &[f32], choice: f32, weights: Weights, into: &mut [f32]) {
+    let entropy = if weights.entropy == 0.0 { 0.0 } else { entropy(logits) };
+    for (index, (log, into)) in logs(logits).zip(into).enumerate() {
+        let probability = math::exp(log);
+        let chosen = if index == choice as usize { 1.0 } else { 0.0 };
+        let by_log_prob = weights.log_prob * (chosen - probability);
+        add(into, by_log_prob - weights.entropy * probability * (log + entropy));
     }
 }

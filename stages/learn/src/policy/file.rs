@@ -1,24 +1,84 @@
-//! A policy as a file.
+//! A policy as a file: weights with a description of the agent in their metadata.
 
 use std::path::Path;
 
+use dril_envs::{ActionSpace, ObservationSpace};
+use dril_kinds::{Network, PolicyFamily};
 use dril_stage_api::StageError;
 use serde::{Deserialize, Serialize};
 
 use super::{Architecture, Policy};
-use crate::net::{Observation, weights};
-use crate::normalize::ObservationStatistics;
+use crate::nn::weights;
+use crate::training::normalize::ObservationStatistics;
 
-/// What stands in the file's metadata.
+/// The content of the file's metadata.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct About {
     /// Tells policies from ensembles, and this layout from later ones.
     format: String,
-    architecture: Architecture,
+    architecture: ArchitectureV1,
     /// What observations are scaled by; left out where they are not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     statistics: Option<ObservationStatistics>,
+    /// The step at which training diverged, so that these are the last finite weights; left out where it did not.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    diverged_at_step: Option<u64>,
+}
+
+/// An architecture as `policy-v1` stores it.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ArchitectureV1 {
+    network: Network,
+    family: PolicyFamily,
+    observation: ObservationV1,
+    /// Dimensions of an action, or choices.
+    actions: usize,
+}
+
+/// An observation space as `policy-v1` and `ensemble-v1` store it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub(crate) enum ObservationV1 {
+    Images { height: usize, width: usize, stack: usize },
+    Vector { len: usize },
+}
+
+impl From<ObservationSpace> for ObservationV1 {
+    fn from(space: ObservationSpace) -> Self {
+        match space {
+            ObservationSpace::Image { height, width, stack } => Self::Images { height, width, stack },
+            ObservationSpace::Vector { len } => Self::Vector { len },
+        }
+    }
+}
+
+impl From<ObservationV1> for ObservationSpace {
+    fn from(stored: ObservationV1) -> Self {
+        match stored {
+            ObservationV1::Images { height, width, stack } => Self::Image { height, width, stack },
+            ObservationV1::Vector { len } => Self::Vector { len },
+        }
+    }
+}
+
+impl From<Architecture> for ArchitectureV1 {
+    fn from(architecture: Architecture) -> Self {
+        let Architecture { network, family, observation, actions } = architecture;
+        Self { network, family, observation: observation.into(), actions: actions.outputs() }
+    }
+}
+
+impl From<ArchitectureV1> for Architecture {
+    fn from(stored: ArchitectureV1) -> Self {
+        let ArchitectureV1 { network, family, observation, actions } = stored;
+        let actions = match family {
+            PolicyFamily::Gaussian | PolicyFamily::Beta => ActionSpace::Continuous { dims: actions },
+            PolicyFamily::Categorical => ActionSpace::Discrete { actions },
+        };
+        Self { network, family, observation: observation.into(), actions }
+    }
 }
 
 const FORMAT: &str = "policy-v1";
@@ -27,11 +87,15 @@ impl Policy {
     /// The bytes of its file.
     ///
     /// # Errors
-    /// None that is known of.
+    /// The description cannot be written as JSON.
     pub fn to_bytes(&self) -> Result<Vec<u8>, StageError> {
-        let (architecture, statistics) = (self.architecture(), self.statistics.clone());
-        let about = About { format: FORMAT.to_owned(), architecture, statistics };
-        weights::to_bytes(&about, &self.params)
+        let about = About {
+            format: FORMAT.to_owned(),
+            architecture: self.architecture().into(),
+            statistics: self.statistics.clone(),
+            diverged_at_step: self.diverged_at_step,
+        };
+        weights::to_bytes(&about, self.params())
     }
 
     /// Writes its file.
@@ -53,17 +117,19 @@ impl Policy {
             let message = format!("has the format `{}`, expected `{FORMAT}`", about.format);
             return Err(StageError::input(port, path, message));
         }
-        let mut policy = Self::build(about.architecture, None)?;
-        file.fill(port, path, &mut policy.params)?;
+        let architecture = Architecture::from(about.architecture);
+        let mut policy = Self::blank(architecture)?;
+        file.fill(port, path, policy.params_mut())?;
         let fits = |statistics: &ObservationStatistics| {
-            let seen = Observation::Vector { len: statistics.len() };
-            statistics.is_sound() && seen == about.architecture.observation
+            let seen = ObservationSpace::Vector { len: statistics.len() };
+            statistics.is_sound() && seen == architecture.observation
         };
         if about.statistics.as_ref().is_some_and(|statistics| !fits(statistics)) {
             let message = "its observation statistics do not fit its observations; train it again";
             return Err(StageError::input(port, path, message));
         }
         policy.statistics = about.statistics;
+        policy.diverged_at_step = about.diverged_at_step;
         Ok(policy)
     }
 }

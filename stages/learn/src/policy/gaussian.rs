@@ -1,46 +1,53 @@
-//! Independent normal distributions, as functions over tensors.
+//! Independent normal distributions over the action dimensions: closed forms over one row, in double precision.
+//!
+//! With z = (x − μ) / σ: ln p = Σ −½ z² − ln σ − ½ ln 2π, d ln p / dμ = z / σ, d ln p / d ln σ = z² − 1; the entropy is
+//! Σ ln σ + ½ + ½ ln 2π.
 
-use std::f64::consts::PI;
+use dril_stage_api::{draw, math};
+use rand::Rng;
 
-use tch::Tensor;
+use super::distribution::{Weights, add};
 
-/// log N(x; μ, σ²) summed over the last dimension.
-pub fn log_prob(mean: &Tensor, log_std: &Tensor, x: &Tensor) -> Tensor {
-    let standard = (x - mean) / log_std.exp();
-    (standard.square() * -0.5 - log_std - 0.5 * (2.0 * PI).ln()).sum_dim_intlist(-1, false, None)
+/// ½ ln 2π.
+const HALF_LN_TAU: f64 = 0.918_938_533_204_672_8;
+
+/// The log-density of a sample, summed over dimensions.
+pub(super) fn log_prob(mean: &[f32], log_std: &[f32], sample: &[f32]) -> f64 {
+    let terms = mean.iter().zip(log_std).zip(sample).map(|((&mean, &log_std), &x)| {
+        let z = standard(mean, log_std, x);
+        -0.5 * z * z - f64::from(log_std) - HALF_LN_TAU
+    });
+    terms.sum()
 }
 
-/// ½ + ½ ln 2π + ln σ summed over the last dimension, for each row of `mean`.
-pub fn entropy(mean: &Tensor, log_std: &Tensor) -> Tensor {
-    let each: Tensor = log_std + (0.5 + 0.5 * (2.0 * PI).ln());
-    each.expand_as(mean).sum_dim_intlist(-1, false, None)
+/// The differential entropy, summed over dimensions.
+pub(super) fn entropy(log_std: &[f32]) -> f64 {
+    log_std.iter().map(|&log_std| f64::from(log_std) + 0.5 + HALF_LN_TAU).sum()
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn log_probability_and_entropy_equal_their_closed_forms() {
-        crate::fast::prepare();
-        let mean = Tensor::from_slice(&[0.5_f32, -1.0, 0.0, 2.0]).view([2, 2]);
-        let log_std = Tensor::from_slice(&[0.0_f32, -0.5]);
-        let x = Tensor::from_slice(&[0.0_f32, -1.5, 1.0, 2.0]).view([2, 2]);
-        let density =
-            |x: f64, m: f64, s: f64| (-(x - m).powi(2) / (2.0 * s * s)).exp() / (s * (2.0 * PI).sqrt());
-        let s = (-0.5_f64).exp();
-        let wanted = [
-            density(0.0, 0.5, 1.0).ln() + density(-1.5, -1.0, s).ln(),
-            density(1.0, 0.0, 1.0).ln() + density(2.0, 2.0, s).ln(),
-        ];
-        let found = log_prob(&mean, &log_std, &x);
-        for (row, wanted) in wanted.into_iter().enumerate() {
-            assert!((found.double_value(&[row as i64]) - wanted).abs() < 1e-6);
-        }
-        // ½ ln(2πeσ²) for each dimension.
-        let wanted = 0.5 * (2.0 * PI * std::f64::consts::E).ln() * 2.0 - 0.5;
-        let found = entropy(&mean, &log_std);
-        assert_eq!(found.size(), [2]);
-        assert!((found.double_value(&[1]) - wanted).abs() < 1e-6);
+/// Draws one number for each dimension.
+pub(super) fn sample<R: Rng + ?Sized>(mean: &[f32], log_std: &[f32], rng: &mut R, sample: &mut [f32]) {
+    for ((&mean, &log_std), x) in mean.iter().zip(log_std).zip(sample) {
+        *x = (f64::from(mean) + math::exp(f64::from(log_std)) * draw::normal(rng)) as f32;
     }
+}
+
+/// Adds the gradients for the means and for the logarithms of the deviations.
+pub(super) fn add_gradient(
+    (mean, log_std): (&[f32], &[f32]),
+    sample: &[f32],
+    weights: Weights,
+    (into_mean, into_log_std): (&mut [f32], &mut [f64]),
+) {
+    let into = into_mean.iter_mut().zip(into_log_std);
+    for (((&mean, &log_std), &x), (into_mean, into_log_std)) in mean.iter().zip(log_std).zip(sample).zip(into)
+    {
+        let z = standard(mean, log_std, x);
+        add(into_mean, weights.log_prob * z * math::exp(-f64::from(log_std)));
+        *into_log_std += weights.log_prob * (z * z - 1.0) + weights.entropy;
+    }
+}
+
+fn standard(mean: f32, log_std: f32, x: f32) -> f64 {
+    (f64::from(x) - f64::from(mean)) * math::exp(-f64::from(log_std))
 }

@@ -1,70 +1,97 @@
-//! The head of a policy family: from the actor's features to the parameters of a distribution.
+//! The head of a policy family: the layers from the actor's features to the parameters of a distribution.
 
-use tch::Tensor;
+use dril_kinds::PolicyFamily;
 
-use super::{Distribution, PolicyFamily, beta};
-use crate::net::{Activation, Builder, Init, LayerInit, ParamId, Parameters, Sequential};
+use super::Row;
+use crate::nn::trunk::Trunk;
+use crate::nn::{Activation, Builder, Init, LayerInit, NodeId, ParamId, Parameters, Sequential};
 
-/// The layers of a head, each of which gives one parameter of the distribution.
+/// How the head of a new agent begins.
 #[derive(Clone, Debug, PartialEq)]
+pub struct HeadInit {
+    /// The gain of the orthogonal weights of Gaussian and Beta heads.
+    pub gain: f64,
+    /// The Gaussian's standard deviation.
+    pub deviation: f64,
+    /// The bias of the Gaussian's mean, one number for each dimension; empty: 0.
+    pub mean: Vec<f64>,
+}
+
+impl Default for HeadInit {
+    /// As in the reference code: gain 1, deviation 1, bias 0.
+    fn default() -> Self {
+        Self { gain: 1.0, deviation: 1.0, mean: Vec::new() }
+    }
+}
+
+/// The outputs of a head; each gives one parameter of the distribution, [rows, actions].
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Head {
-    Gaussian { mean: Sequential, log_std: ParamId },
-    Beta { alpha: Sequential, beta: Sequential },
-    Categorical { logits: Sequential },
+    Gaussian { mean: NodeId, log_std: ParamId },
+    Beta { alpha: NodeId, beta: NodeId },
+    Categorical { logits: NodeId },
 }
 
 impl Head {
-    pub(super) fn build(build: &mut Builder, family: PolicyFamily, features: usize, actions: usize) -> Self {
+    pub(super) fn build(
+        build: &mut Builder,
+        family: PolicyFamily,
+        trunk: &Trunk,
+        actions: usize,
+        init: &HeadInit,
+    ) -> Self {
         let mut linear = |name: &str, gain: f32| {
             let mut layers = Sequential::default();
-            let init = LayerInit::Orthogonal(gain);
-            build.linear(&mut layers, name, (features, actions), init, Activation::Linear);
-            layers
+            let shape = (trunk.features, actions);
+            build.linear(&mut layers, name, shape, LayerInit::Orthogonal(gain), Activation::Linear);
+            build.node(Some(trunk.actor), layers)
         };
+        let gain = init.gain as f32;
         match family {
             PolicyFamily::Gaussian => {
-                let mean = linear("head.mean", 1.0);
-                Self::Gaussian {
-                    mean,
-                    log_std: build.param("head.log_std", &[actions as i64], Init::Constant(0.0)),
-                }
+                let mean = linear("head.mean", gain);
+                let log_std = Init::Constant(dril_stage_api::math::ln(init.deviation) as f32);
+                Self::Gaussian { mean, log_std: build.param("head.log_std", &[actions], log_std) }
             }
             PolicyFamily::Beta => {
-                Self::Beta { alpha: linear("head.alpha", 1.0), beta: linear("head.beta", 1.0) }
+                Self::Beta { alpha: linear("head.alpha", gain), beta: linear("head.beta", gain) }
             }
             // Almost equal probabilities at the start.
             PolicyFamily::Categorical => Self::Categorical { logits: linear("head.logits", 0.01) },
         }
     }
 
-    /// The layers, in the order in which [`Head::distribution`] takes their outputs.
-    pub(super) fn layers(&self) -> Vec<&Sequential> {
+    /// The parts of the network, in the order in which [`Head::row`] takes their outputs.
+    pub(super) fn nodes(&self) -> Vec<NodeId> {
         match self {
-            Self::Gaussian { mean, .. } => vec![mean],
-            Self::Beta { alpha, beta } => vec![alpha, beta],
-            Self::Categorical { logits } => vec![logits],
+            Self::Gaussian { mean, .. } => vec![*mean],
+            Self::Beta { alpha, beta } => vec![*alpha, *beta],
+            Self::Categorical { logits } => vec![*logits],
         }
     }
 
     /// The parameter that no layer gives, where there is one.
-    pub(super) fn free(&self) -> Option<ParamId> {
+    pub(super) fn log_std(&self) -> Option<ParamId> {
         match self {
             Self::Gaussian { log_std, .. } => Some(*log_std),
             Self::Beta { .. } | Self::Categorical { .. } => None,
         }
     }
 
-    /// The distribution from what the layers gave, each [batch, actions].
-    pub(super) fn distribution(&self, params: &Parameters, outputs: &[Tensor]) -> Distribution {
-        let output = |at: usize| outputs[at].shallow_clone();
+    /// The distribution of one row of the outputs, of `len` numbers each.
+    pub(super) fn row<'a>(
+        &self,
+        params: &'a Parameters,
+        outputs: &'a [Vec<f32>],
+        (row, len): (usize, usize),
+    ) -> Row<'a> {
+        let part = |at: usize| &outputs[at][row * len..][..len];
         match self {
             Self::Gaussian { log_std, .. } => {
-                Distribution::Gaussian { mean: output(0), log_std: params.tensor(*log_std).shallow_clone() }
+                Row::Gaussian { mean: part(0), log_std: params.slice(*log_std) }
             }
-            Self::Beta { .. } => {
-                Distribution::Beta { alpha: beta::shape(&output(0)), beta: beta::shape(&output(1)) }
-            }
-            Self::Categorical { .. } => Distribution::Categorical { logits: output(0) },
+            Self::Beta { .. } => Row::Beta { u: part(0), w: part(1) },
+            Self::Categorical { .. } => Row::Categorical { logits: part(0) },
         }
     }
 }

@@ -5,29 +5,31 @@
 //! environment's units, where [-1, 1] is the range of every dimension. [`to_action`] maps one to the
 //! other; actions are clipped only where they are handed to the environment.
 
-pub mod beta;
-pub mod categorical;
-mod file;
-pub mod gaussian;
+mod beta;
+mod categorical;
+mod distribution;
+pub(crate) mod file;
+mod gaussian;
+mod gradients;
 mod head;
-mod rows;
-mod way;
+#[cfg(test)]
+mod oracle;
+#[cfg(test)]
+mod tests;
 
-use dril_kinds::Precision;
+use dril_envs::{ActionSpace, ObservationSpace};
+use dril_kinds::{Network, PolicyFamily};
 use dril_stage_api::{StageError, StreamRng};
-use serde::{Deserialize, Serialize};
-use tch::Tensor;
 
-use crate::imitation::action_loss;
-use crate::net::{Builder, Gradients, Network, Observation, ParamId, Parameters, Trunk, Wants, takes};
-use crate::normalize::ObservationStatistics;
-use crate::spaces::Actions;
+use crate::nn::trunk::{Trunk, takes};
+use crate::nn::{self, Batch, Builder, Gradients, NodeId, ParamId, Parameters, Tape, Wanted};
+use crate::training::normalize::ObservationStatistics;
 
 use head::Head;
-use way::{Way, column};
 
-pub use dril_kinds::PolicyFamily;
-pub use rows::Rows;
+pub use distribution::{Row, RowGradient, Weights};
+pub use gradients::OutputGradients;
+pub use head::HeadInit;
 
 /// The action of a sample, not clipped: the Gaussian's sample itself, 2x − 1 for the Beta, a choice's number.
 pub fn to_action(family: PolicyFamily, sample: f32) -> f32 {
@@ -45,35 +47,23 @@ pub fn to_environment(family: PolicyFamily, action: f32) -> f32 {
     }
 }
 
-/// All that determines the layout of an agent's parameters; stands in the metadata of its file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+/// All that determines the layout of an agent's parameters.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Architecture {
     /// The layers.
     pub network: Network,
     /// The head.
     pub family: PolicyFamily,
     /// The input.
-    pub observation: Observation,
-    /// How many action dimensions there are, or choices.
-    pub actions: usize,
+    pub observation: ObservationSpace,
+    /// The output.
+    pub actions: ActionSpace,
 }
 
 impl Architecture {
-    /// What its actions are.
-    pub fn gives(&self) -> Actions {
-        match self.family {
-            PolicyFamily::Gaussian | PolicyFamily::Beta => Actions::Numbers(self.actions),
-            PolicyFamily::Categorical => Actions::Choices(self.actions),
-        }
-    }
-
     /// How many numbers an action has: one for a choice.
     pub fn action_len(&self) -> usize {
-        match self.gives() {
-            Actions::Numbers(count) => count,
-            Actions::Choices(_) => 1,
-        }
+        self.actions.action_len()
     }
 }
 
@@ -81,140 +71,94 @@ impl Architecture {
 #[derive(Debug)]
 pub struct Policy {
     architecture: Architecture,
-    trunk: Trunk,
+    network: nn::Network,
     head: Head,
-    /// The weights of actor and critic.
-    pub params: Parameters,
+    critic: NodeId,
     /// What observation vectors are scaled by before the network sees them; none where they are shown as they are.
     pub statistics: Option<ObservationStatistics>,
+    /// The environment step at which the training that made it diverged; none where it did not.
+    pub diverged_at_step: Option<u64>,
 }
 
-/// What a policy says about a batch of observations.
-#[derive(Debug)]
-pub struct Forward {
+/// Which parts of an agent are computed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Parts {
     /// The distribution over actions.
-    pub distribution: Distribution,
-    /// The state values, [batch].
-    pub values: Tensor,
-    way: Way,
+    Actor,
+    /// The state value.
+    Critic,
+    /// Both.
+    Both,
 }
 
-impl Forward {
-    /// The gradients of a scalar that was made of this answer, for the parameters asked for, in that order.
-    pub fn gradients(self, policy: &Policy, loss: &Tensor, ids: &[ParamId]) -> Gradients {
-        policy.gradients(self.way, loss, ids)
-    }
-}
-
-/// The actor's part of it.
-#[derive(Debug)]
-pub struct Answer {
-    /// The distribution over actions.
-    pub distribution: Distribution,
-    way: Way,
-}
-
-impl Answer {
-    /// As [`Forward::gradients`].
-    pub fn gradients(self, policy: &Policy, loss: &Tensor, ids: &[ParamId]) -> Gradients {
-        policy.gradients(self.way, loss, ids)
-    }
-}
-
-/// A batch of distributions over actions; every tensor is [batch, actions] or spreads to it.
-#[derive(Debug)]
-pub enum Distribution {
-    /// Independent normal distributions.
-    Gaussian {
-        /// Means.
-        mean: Tensor,
-        /// Logarithms of the standard deviations.
-        log_std: Tensor,
-    },
-    /// Independent Beta distributions over [0, 1].
-    Beta {
-        /// First shape parameters, more than 1.
-        alpha: Tensor,
-        /// Second shape parameters, more than 1.
-        beta: Tensor,
-    },
-    /// One of several choices.
-    Categorical {
-        /// Logarithms of the probabilities, up to a constant, [batch, choices].
-        logits: Tensor,
-    },
-}
-
-impl Distribution {
-    /// The log-density of samples [batch, actions], summed over dimensions: [batch]. In the sample's own scale: the
-    /// Beta's stretch to [-1, 1] is a constant that no ratio sees.
-    pub fn log_prob(&self, samples: &Tensor) -> Tensor {
-        match self {
-            Self::Gaussian { mean, log_std } => gaussian::log_prob(mean, log_std, samples),
-            Self::Beta { alpha, beta } => beta::log_prob(alpha, beta, samples),
-            Self::Categorical { logits } => categorical::log_prob(logits, samples),
-        }
-    }
-
-    /// The differential entropy, summed over dimensions: [batch].
-    pub fn entropy(&self) -> Tensor {
-        match self {
-            Self::Gaussian { mean, log_std } => gaussian::entropy(mean, log_std),
-            Self::Beta { alpha, beta } => beta::entropy(alpha, beta),
-            Self::Categorical { logits } => categorical::entropy(logits),
-        }
-    }
-
-    /// What behaviour cloning lowers: the mean squared error of the mean action (see [`action_loss`]), or the cross
-    /// entropy of the choice; a scalar. `demonstrated` is [batch, numbers in an action].
-    pub fn cloning_loss(&self, demonstrated: &Tensor) -> Tensor {
-        match self {
-            Self::Gaussian { .. } | Self::Beta { .. } => action_loss(&self.mean_action(), demonstrated),
-            Self::Categorical { logits } => categorical::cross_entropy(logits, demonstrated),
-        }
-    }
-
-    /// The mean action [batch, actions], not clipped: what deterministic acting does and behaviour cloning fits. Of
-    /// choices the likeliest, [batch, 1].
-    pub fn mean_action(&self) -> Tensor {
-        match self {
-            Self::Gaussian { mean, .. } => mean.shallow_clone(),
-            Self::Beta { alpha, beta } => beta::mean(alpha, beta) * 2.0 - 1.0,
-            Self::Categorical { logits } => categorical::likeliest(logits),
-        }
-    }
-
-    /// The parameters as plain numbers, to draw samples from.
-    pub fn rows(&self) -> Rows {
-        match self {
-            Self::Gaussian { mean, log_std } => Rows::gaussian(mean, log_std),
-            Self::Beta { alpha, beta } => Rows::beta(alpha, beta),
-            Self::Categorical { logits } => Rows::categorical(logits),
-        }
-    }
+/// What an agent answers to a batch of observations.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Answers {
+    /// The outputs of the head, each [rows, outputs]; empty where the actor was not computed.
+    heads: Vec<Vec<f32>>,
+    /// The state values, [rows]; empty where the critic was not computed.
+    pub values: Vec<f32>,
 }
 
 impl Policy {
-    /// A new agent with weights drawn from the stream.
+    /// A new agent with weights drawn from the stream, as the reference code begins.
     ///
     /// # Errors
-    /// The network does not take such observations, or there is no action.
+    /// The network does not take such observations, the family does not give such actions, or there is no action.
     pub fn new(architecture: Architecture, stream: &mut StreamRng) -> Result<Self, StageError> {
-        Self::build(architecture, Some(stream))
+        Self::with_head(architecture, &HeadInit::default(), stream)
     }
 
-    /// With weights from the stream, or zeros.
-    fn build(architecture: Architecture, stream: Option<&mut StreamRng>) -> Result<Self, StageError> {
+    /// The same with another start of the head.
+    ///
+    /// # Errors
+    /// As [`Policy::new`], or `init` has means for another number of dimensions.
+    pub fn with_head(
+        architecture: Architecture,
+        init: &HeadInit,
+        stream: &mut StreamRng,
+    ) -> Result<Self, StageError> {
+        let mut policy = Self::build(architecture, init, Some(stream))?;
+        if !init.mean.is_empty() {
+            policy.set_mean_bias(&init.mean)?;
+        }
+        Ok(policy)
+    }
+
+    /// With weights of 0, to be replaced by those of a file.
+    fn blank(architecture: Architecture) -> Result<Self, StageError> {
+        Self::build(architecture, &HeadInit::default(), None)
+    }
+
+    fn build(
+        architecture: Architecture,
+        init: &HeadInit,
+        stream: Option<&mut StreamRng>,
+    ) -> Result<Self, StageError> {
         check(architecture)?;
         let Architecture { network, family, observation, actions } = architecture;
         let mut build = Builder::new();
         let trunk = Trunk::build(&mut build, network, observation);
-        let head = Head::build(&mut build, family, trunk.features, actions);
-        let params = match stream {
-            Some(stream) => build.finish(stream),
-            None => build.finish_blank(),
-        };
-        Ok(Self { architecture, trunk, head, params, statistics: None })
+        let head = Head::build(&mut build, family, &trunk, actions.outputs(), init);
+        let network = nn::Network::new(build.finish(stream));
+        let critic = trunk.critic;
+        Ok(Self { architecture, network, head, critic, statistics: None, diverged_at_step: None })
+    }
+
+    fn set_mean_bias(&mut self, mean: &[f64]) -> Result<(), StageError> {
+        let dims = self.architecture.actions.outputs();
+        if mean.len() != dims {
+            let seen = mean.len();
+            return Err(StageError::failed(format!(
+                "`initial_mean` has {seen} numbers, expected {dims}, one for each dimension of an action"
+            )));
+        }
+        let bias = |id: &ParamId| self.params().spec(*id).name == "head.mean.bias";
+        if let Some(id) = self.params().ids().find(bias) {
+            let bias = self.params_mut().slice_mut(id);
+            bias.iter_mut().zip(mean).for_each(|(bias, mean)| *bias = *mean as f32);
+        }
+        Ok(())
     }
 
     /// What determines the layout of its parameters.
@@ -222,57 +166,117 @@ impl Policy {
         self.architecture
     }
 
-    /// The distribution and the value for a batch of observations (see [`crate::frames::FrameStore::gather`]).
-    pub fn forward(&self, observations: &Tensor) -> Forward {
-        let (distribution, values, way) = self.answer(observations, Wants { actor: true, critic: true });
-        Forward { distribution, values, way }
+    /// The weights of actor and critic.
+    pub fn params(&self) -> &Parameters {
+        &self.network.params
     }
 
-    /// The distribution only.
-    pub fn act(&self, observations: &Tensor) -> Answer {
-        let (distribution, _, way) = self.answer(observations, Wants { actor: true, critic: false });
-        Answer { distribution, way }
+    /// The weights, to be changed.
+    pub fn params_mut(&mut self) -> &mut Parameters {
+        &mut self.network.params
     }
 
-    /// The state values only, [batch].
-    pub fn values(&self, observations: &Tensor) -> Tensor {
-        let wants = Wants { actor: false, critic: true };
-        match self.params.precision() {
-            Precision::Fp32 => column(self.trunk.pass(&self.params, observations, wants).critic.as_ref()),
-            Precision::Bf16 => self.trunk.torch_forward(&self.params, observations, wants).1,
+    /// The network.
+    pub fn network_mut(&mut self) -> &mut nn::Network {
+        &mut self.network
+    }
+
+    fn wanted(&self, parts: Parts, rows: usize) -> Vec<Wanted> {
+        let heads = self.head.nodes().into_iter().filter(|_| parts != Parts::Critic);
+        let critic = (parts != Parts::Actor).then_some(self.critic);
+        heads.chain(critic).map(|node| Wanted { node, rows: 0..rows }).collect()
+    }
+
+    fn answers(&self, parts: Parts, mut outputs: Vec<Vec<f32>>) -> Answers {
+        let values = if parts == Parts::Actor { None } else { outputs.pop() };
+        Answers { heads: outputs, values: values.unwrap_or_default() }
+    }
+
+    /// The answers to a batch of observations (see [`crate::data::frames::FrameStore::gather`]), with what a backward
+    /// pass needs.
+    pub fn forward(&self, observations: &Batch, parts: Parts) -> (Answers, Tape) {
+        let wanted = self.wanted(parts, observations.rows());
+        let (outputs, tape) = self.network.forward(observations, &wanted);
+        (self.answers(parts, outputs), tape)
+    }
+
+    /// The answers alone.
+    pub fn infer(&self, observations: &Batch, parts: Parts) -> Answers {
+        let wanted = self.wanted(parts, observations.rows());
+        self.answers(parts, self.network.infer(observations, &wanted))
+    }
+
+    /// The state values alone, [rows].
+    pub fn values(&self, observations: &Batch) -> Vec<f32> {
+        self.infer(observations, Parts::Critic).values
+    }
+
+    /// The distribution over actions of one row of answers that the actor was computed for.
+    pub fn row<'a>(&'a self, answers: &'a Answers, row: usize) -> Row<'a> {
+        self.head.row(self.params(), &answers.heads, (row, self.architecture.actions.outputs()))
+    }
+
+    /// Writes the gradients of the parameters, given those of the answers to the same batch.
+    pub fn backward(
+        &self,
+        observations: &Batch,
+        tape: Tape,
+        by_output: OutputGradients,
+        gradients: &mut Gradients,
+    ) {
+        let rows = observations.rows();
+        let wanted = |node: NodeId| Wanted { node, rows: 0..rows };
+        let mut arrived: Vec<(Wanted, Vec<f32>)> =
+            self.head.nodes().into_iter().map(wanted).zip(by_output.heads).collect();
+        if let Some(values) = by_output.values {
+            arrived.push((wanted(self.critic), values));
         }
+        if let (Some(id), Some(sums)) = (self.head.log_std(), by_output.log_std) {
+            gradients.set(id).iter_mut().zip(sums).for_each(|(to, sum)| *to = sum as f32);
+        }
+        self.network.backward(observations, tape, arrived, gradients);
     }
 
     /// The parameters that the mean action depends on or may: all but the critic's own.
     pub fn actor_ids(&self) -> Vec<ParamId> {
-        self.params.ids().filter(|id| !self.params.spec(*id).name.starts_with("critic.")).collect()
+        let params = self.params();
+        params.ids().filter(|id| !params.spec(*id).name.starts_with("critic.")).collect()
     }
 }
 
 fn check(architecture: Architecture) -> Result<(), StageError> {
-    let Architecture { network, observation, actions, .. } = architecture;
+    let Architecture { network, family, observation, actions } = architecture;
     if !takes(network, observation) {
-        let (seen, mend) = match observation {
-            Observation::Images { .. } => ("images", "`expert-cnn`, `dril-cnn` or `atari-cnn`"),
-            Observation::Vector { .. } => ("a vector", "`mlp`"),
+        let (seen, remedy) = match observation {
+            ObservationSpace::Image { .. } => ("images", "`expert-cnn`, `dril-cnn` or `atari-cnn`"),
+            ObservationSpace::Vector { .. } => ("a vector", "`mlp`"),
         };
         let message = format!(
-            "the network `{}` does not fit an environment that shows {seen}; set `network` to {mend}",
+            "the network `{}` does not fit an environment that shows {seen}; set `network` to {remedy}",
             name(network)
         );
         return Err(StageError::failed(message));
     }
-    if let Observation::Images { height, width, stack } = observation
-        && (height < 36 || width < 36 || height % 4 != 0 || width % 4 != 0 || stack == 0)
-    {
-        return Err(StageError::failed(format!(
-            "frames are {height}x{width} in stacks of {stack}, expected multiples of 4 from 36 on and a stack"
-        )));
-    }
-    if actions == 0 {
+    check_frames(observation)?;
+    crate::spaces::check_family(actions, family)?;
+    if actions.outputs() == 0 {
         return Err(StageError::failed("the environment has no action dimension, expected at least one"));
     }
     Ok(())
+}
+
+/// Fails where the convolutions cannot take the frames.
+pub(crate) fn check_frames(observation: ObservationSpace) -> Result<(), StageError> {
+    match observation {
+        ObservationSpace::Image { height, width, stack }
+            if height < 36 || width < 36 || height % 4 != 0 || width % 4 != 0 || stack == 0 =>
+        {
+            Err(StageError::failed(format!(
+                "frames are {height}x{width} in stacks of {stack}, expected multiples of 4 from 36 on and a stack"
+            )))
+        }
+        _ => Ok(()),
+    }
 }
 
 fn name(network: Network) -> &'static str {
@@ -283,6 +287,3 @@ fn name(network: Network) -> &'static str {
         Network::Mlp => "mlp",
     }
 }
-
-#[cfg(test)]
-mod tests;

@@ -4,21 +4,20 @@ use dril_stage_api::Seed;
 
 use super::*;
 
-const IMAGES: Observation = Observation::Images { height: 84, width: 84, stack: 4 };
+const IMAGES: ObservationSpace = ObservationSpace::Image { height: 84, width: 84, stack: 4 };
 
-fn architecture(network: Network, family: PolicyFamily, observation: Observation) -> Architecture {
-    crate::fast::prepare();
-    Architecture { network, family, observation, actions: 2 }
+fn architecture(network: Network, family: PolicyFamily, observation: ObservationSpace) -> Architecture {
+    Architecture { network, family, observation, actions: ActionSpace::Continuous { dims: 2 } }
 }
 
 fn policy(network: Network, family: PolicyFamily) -> Policy {
-    let observation = if network == Network::Mlp { Observation::Vector { len: 8 } } else { IMAGES };
+    let observation = if network == Network::Mlp { ObservationSpace::Vector { len: 8 } } else { IMAGES };
     Policy::new(architecture(network, family, observation), &mut Seed(1).stream("init")).unwrap()
 }
 
 fn count(policy: &Policy, part: &str) -> usize {
-    let ids = policy.params.ids().filter(|id| policy.params.spec(*id).name.starts_with(part));
-    ids.map(|id| policy.params.slice(id).len()).sum()
+    let ids = policy.params().ids().filter(|id| policy.params().spec(*id).name.starts_with(part));
+    ids.map(|id| policy.params().slice(id).len()).sum()
 }
 
 #[test]
@@ -38,12 +37,44 @@ fn networks_have_the_size_of_the_references() {
     assert_eq!(count(&mlp, "actor"), 8 * 64 + 64 + 64 * 64 + 64);
 }
 
+/// The Euclidean norms of the rows of a weight.
+fn row_norms(policy: &Policy, name: &str) -> Vec<f32> {
+    let id = policy.params().ids().find(|id| policy.params().spec(*id).name == name).unwrap();
+    let len = policy.params().spec(id).shape[1..].iter().product();
+    let rows = policy.params().slice(id).chunks(len);
+    rows.map(|row| row.iter().map(|weight| weight * weight).sum::<f32>().sqrt()).collect()
+}
+
+#[test]
+fn an_expert_begins_with_the_gains_of_the_reference() {
+    let expert = policy(Network::ExpertCnn, PolicyFamily::Gaussian);
+    for (name, gain) in [
+        ("conv.0", 2.0_f32.sqrt()),
+        ("shared", 2.0_f32.sqrt()),
+        ("actor.0", 1.0),
+        ("actor.1", 1.0),
+        ("critic.0", 1.0),
+        ("critic.1", 1.0),
+        ("head.mean", 1.0),
+    ] {
+        let norms = row_norms(&expert, &format!("{name}.weight"));
+        assert!(norms.iter().all(|norm| (norm - gain).abs() < 1e-4), "{name}: {norms:?}");
+    }
+}
+
 #[test]
 fn a_new_beta_agent_acts_with_the_spread_of_the_thesis() {
     // α = β = softplus(0) + 1 ≈ 1.69 where the features are 0: a deviation of 0.477 in [-1, 1].
-    let shape = beta::shape(&Tensor::from_slice(&[0.0_f32])).double_value(&[0]);
-    assert!((shape - 1.693).abs() < 1e-3);
-    assert!((2.0 * (1.0 / (4.0 * (2.0 * shape + 1.0))).sqrt() - 0.477).abs() < 1e-3);
+    let row = Row::Beta { u: &[0.0], w: &[0.0] };
+    let mut stream = Seed(1).stream("action");
+    let mut sample = [0.0];
+    let squares = (0..20_000).map(|_| {
+        row.sample(&mut stream, &mut sample);
+        let action = f64::from(to_action(PolicyFamily::Beta, sample[0]));
+        action * action
+    });
+    let deviation = (squares.sum::<f64>() / 20_000.0).sqrt();
+    assert!((deviation - 0.477).abs() < 0.005, "{deviation}");
 }
 
 #[test]
@@ -57,7 +88,7 @@ fn an_agent_comes_back_from_its_file_and_says_the_same() {
         saved.save(&path).unwrap();
         let read = Policy::load("policy", &path).unwrap();
         assert_eq!(read.architecture(), saved.architecture());
-        assert_eq!(read.params.values(), saved.params.values());
+        assert_eq!(read.params().values(), saved.params().values());
         assert_eq!(read.to_bytes().unwrap(), saved.to_bytes().unwrap());
     }
 }
@@ -92,47 +123,28 @@ fn a_network_that_does_not_fit_the_observation_is_refused_with_one_that_does() {
     let wrong = architecture(Network::Mlp, PolicyFamily::Beta, IMAGES);
     let message = Policy::new(wrong, &mut stream).unwrap_err().to_string();
     assert!(message.contains("`mlp`") && message.contains("`expert-cnn`"), "{message}");
-    let odd = Observation::Images { height: 83, width: 84, stack: 4 };
+    let odd = ObservationSpace::Image { height: 83, width: 84, stack: 4 };
     let wrong = architecture(Network::DrilCnn, PolicyFamily::Beta, odd);
     assert!(Policy::new(wrong, &mut stream).unwrap_err().to_string().contains("multiples of 4"));
 }
 
 #[test]
-fn short_numbers_give_nearly_the_same_gradients_and_leave_the_weights_as_they_are() {
-    let mut policy = policy(Network::DrilCnn, PolicyFamily::Beta);
-    let before = policy.params.values().to_vec();
-    let seen =
-        Tensor::from_slice(&(0..4_i64 * 64 * 441).map(|at| (at * at % 253) as f32).collect::<Vec<_>>());
-    let seen = seen.view([4, 21, 21, 64]);
-    let ids: Vec<_> = policy.params.ids().collect();
-    let gradients = |policy: &Policy| -> Vec<f32> {
-        let forward = policy.forward(&seen);
-        let loss = forward.distribution.mean_action().square().sum(tch::Kind::Float)
-            + forward.values.square().sum(tch::Kind::Float);
-        let gradients = forward.gradients(policy, &loss, &ids);
-        gradients.iter().flatten().flat_map(|g| crate::fast::memory::values(g).to_vec()).collect()
-    };
-    let exact = gradients(&policy);
-    policy.params.set_precision(Precision::Bf16);
-    let short = gradients(&policy);
-    assert_eq!(policy.params.values(), before);
-    let norm =
-        |values: &mut dyn Iterator<Item = f32>| values.map(|v| f64::from(v).powi(2)).sum::<f64>().sqrt();
-    let apart = norm(&mut exact.iter().zip(&short).map(|(a, b)| a - b)) / norm(&mut exact.iter().copied());
-    assert!(apart > 0.0 && apart < 0.05, "{apart}");
-    // A change of the weights is seen by the short copy.
-    policy.params.set_values(&before.iter().map(|v| 0.5 * v).collect::<Vec<_>>());
-    assert_ne!(gradients(&policy), short);
+fn one_pass_gives_the_same_as_actor_and_critic_apart() {
+    let policy = policy(Network::ExpertCnn, PolicyFamily::Gaussian);
+    let bytes = (0..2 * 64 * 441).map(|at| (at % 256) as u8).collect();
+    let seen = Batch::Images { rows: 2, bytes };
+    let both = policy.infer(&seen, Parts::Both);
+    assert_eq!(both.values, policy.values(&seen));
+    assert_eq!(both.heads, policy.infer(&seen, Parts::Actor).heads);
+    assert_eq!(policy.forward(&seen, Parts::Both).0, both);
 }
 
 #[test]
-fn one_pass_gives_the_same_as_actor_and_critic_apart() {
-    let policy = policy(Network::ExpertCnn, PolicyFamily::Gaussian);
-    let seen = Tensor::from_slice(&(0..2 * 64 * 441).map(|at| (at % 256) as f32).collect::<Vec<_>>());
-    let seen = seen.view([2, 21, 21, 64]);
-    tch::no_grad(|| {
-        let both = policy.forward(&seen);
-        assert_eq!(both.values, policy.values(&seen));
-        assert_eq!(both.distribution.mean_action(), policy.act(&seen).distribution.mean_action());
-    });
+fn a_mark_of_divergence_survives_the_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("policy");
+    let mut marked = policy(Network::Mlp, PolicyFamily::Beta);
+    marked.diverged_at_step = Some(4096);
+    marked.save(&path).unwrap();
+    assert_eq!(Policy::load("policy", &path).unwrap().diverged_at_step, Some(4096));
 }

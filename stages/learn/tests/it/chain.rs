@@ -5,13 +5,13 @@
 use std::path::{Path, PathBuf};
 
 use dril_envs::Demonstrations;
-use dril_learn::bc::BcStage;
-use dril_learn::collect::CollectStage;
-use dril_learn::dataset::DatasetStage;
-use dril_learn::dril::DrilStage;
-use dril_learn::ensemble::EnsembleStage;
-use dril_learn::evaluate::EvaluateStage;
-use dril_learn::ppo::PpoStage;
+use dril_learn::algorithms::bc::BcStage;
+use dril_learn::algorithms::dril::DrilStage;
+use dril_learn::algorithms::ensemble::EnsembleStage;
+use dril_learn::algorithms::ppo_stage::PpoStage;
+use dril_learn::data::dataset::DatasetStage;
+use dril_learn::play::collect::CollectStage;
+use dril_learn::play::evaluate::EvaluateStage;
 use dril_stage_api::scores::{self, ScoreRow};
 use dril_stage_api::testing::Bench;
 use dril_stage_api::{Stage, StageError};
@@ -33,7 +33,7 @@ fn env() -> Value {
 }
 
 fn evaluate(policy: PathBuf) -> Result<Vec<ScoreRow>, StageError> {
-    let params = json!({ "env": env(), "mode": "stochastic", "episodes": 2, "first_track_seed": 1000 });
+    let params = json!({ "env": env(), "mode": "stochastic", "episodes": 2, "first_seed": 1000 });
     let bench = run::<EvaluateStage>(&params, &[("policy", policy)])?;
     scores::read("scores", &bench.output("scores")?)
 }
@@ -46,14 +46,14 @@ fn rows(log: &Path) -> Result<usize, StageError> {
 #[test]
 fn each_stage_takes_what_the_one_before_it_wrote() -> Result<(), StageError> {
     let expert = json!({
-        "env": env(), "policy": "gaussian", "total_steps": 64, "envs": 2, "rollout_steps": 16, "epochs": 1,
-        "minibatches": 2
+        "env": env(), "policy": "gaussian", "total_timesteps": 64, "n_envs": 2, "n_steps": 16, "n_epochs": 1,
+        "n_minibatches": 2
     });
     let expert = run::<PpoStage>(&expert, &[])?;
     assert_eq!(rows(&expert.output("log")?)?, 2);
 
     let recording =
-        json!({ "env": env(), "episodes": 3, "above": -1000.0, "max_attempts": 8, "first_track_seed": 1 });
+        json!({ "env": env(), "episodes": 3, "above": -1000.0, "max_attempts": 8, "first_seed": 1 });
     let recording = run::<CollectStage>(&recording, &[("policy", expert.output("policy")?)])?;
 
     let set = json!({ "actions": "clipped", "trajectories": 2 });
@@ -63,14 +63,14 @@ fn each_stage_takes_what_the_one_before_it_wrote() -> Result<(), StageError> {
     assert_eq!(packed.episodes.len(), 2);
     assert!(packed.episodes.iter().all(|episode| episode.actions.iter().all(|action| action.abs() <= 1.0)));
 
-    let clone = json!({ "policy": "beta", "max_epochs": 2, "batch_size": 32 });
+    let clone = json!({ "policy": "beta", "n_epochs": 2, "batch_size": 32 });
     let clone = run::<BcStage>(&clone, &[("demonstrations", demonstrations.clone())])?;
-    let ensemble = json!({ "members": 3, "epochs": 2, "batch_size": 33 });
+    let ensemble = json!({ "n_members": 3, "n_epochs": 2, "batch_size": 33 });
     let ensemble = run::<EnsembleStage>(&ensemble, &[("demonstrations", demonstrations.clone())])?;
     assert_eq!((rows(&clone.output("log")?)?, rows(&ensemble.output("log")?)?), (2, 2));
 
     let dril = json!({
-        "env": env(), "total_steps": 128, "envs": 2, "rollout_steps": 64, "epochs": 1, "minibatches": 2,
+        "env": env(), "total_timesteps": 128, "n_envs": 2, "n_steps": 64, "n_epochs": 1, "n_minibatches": 2,
         "bc_batch_size": 16
     });
     let dril = run::<DrilStage>(
@@ -83,7 +83,7 @@ fn each_stage_takes_what_the_one_before_it_wrote() -> Result<(), StageError> {
     )?;
     for port in ["peak", "final"] {
         let scores = evaluate(dril.output(port)?)?;
-        let seeds: Vec<u64> = scores.iter().map(|row| row.track_seed).collect();
+        let seeds: Vec<u64> = scores.iter().map(|row| row.seed).collect();
         assert_eq!(seeds, [1000, 1001]);
         assert!(scores.iter().all(|row| row.steps == 60 && row.outcome == "time-limit"), "{scores:?}");
     }

@@ -16,7 +16,7 @@ use rand::RngExt;
 use crate::worlds::{self, World, digests};
 
 /// Names the job file to the child.
-const JOB: &str = "DRIL_KILL_TEST_JOB";
+pub const JOB: &str = "DRIL_KILL_TEST_JOB";
 const KILLS: usize = 10;
 
 /// Not a test: what the child runs.
@@ -66,7 +66,7 @@ fn undisturbed(bench: &Bench) -> (Vec<blake3::Hash>, Duration) {
     (digests(bench), began.elapsed())
 }
 
-fn write_job(bench: &Bench) -> std::path::PathBuf {
+pub fn write_job(bench: &Bench) -> std::path::PathBuf {
     let path = bench.folder().join("job.json");
     std::fs::write(&path, serde_json::to_vec(bench.job()).unwrap()).unwrap();
     path

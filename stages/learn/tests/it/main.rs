@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "a test's own functions may fail the test")]
 
 mod chain;
+mod everywhere;
 mod kill;
 mod same;
 mod worlds;

@@ -51,5 +51,5 @@ fn what_cannot_be_compared_is_refused_with_its_labels() {
     let message = one(&[("mode", "mean"), ("place", "away")], &[1.0]);
     assert!(message.contains("no evaluation has place=home and otherwise the same labels"), "{message}");
     let message = one(&[("place", "away")], &[1.0, 2.0]);
-    assert!(message.contains("different tracks") && message.contains("`first_track_seed`"), "{message}");
+    assert!(message.contains("different seeds") && message.contains("`first_seed`"), "{message}");
 }

@@ -35,10 +35,11 @@ pub fn scores(bench: &Bench, name: &str, values: &[f64]) -> PathBuf {
     let path = bench.folder().join(format!("{name}.csv"));
     let row = |(episode, score): (usize, &f64)| ScoreRow {
         episode,
-        track_seed: 2_000_000 + episode as u64,
+        seed: 2_000_000 + episode as u64,
         score: *score,
         steps: 1000,
         outcome: "time-limit".into(),
+        diverged_at_step: None,
     };
     scores::write(&path, &values.iter().enumerate().map(row).collect::<Vec<_>>()).unwrap();
     path

@@ -7,7 +7,9 @@ use serde_json::json;
 use crate::fakes::{self, output, reference, spread};
 
 fn leaderboard(profile: &str) -> Bench {
-    Bench::new::<Leaderboard>(&json!({"title": "Table 23: against other methods", "profile": profile}), 0)
+    Bench::new::<Leaderboard>(&json!({
+        "title": "Table 23: against other methods", "profile": profile, "full_profile": "thesis", "reference_name": "thesis"
+    }), 0)
         .unwrap()
 }
 

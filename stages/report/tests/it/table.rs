@@ -1,6 +1,7 @@
 //! The kind `table` on the thesis's 48 evaluations and parts of them.
 
 use dril_report::Table;
+use dril_stage_api::scores;
 use dril_stage_api::testing::Bench;
 use dril_stage_api::{Kind, StageError};
 use serde_json::{Value, json};
@@ -10,7 +11,7 @@ use crate::fakes::{self, output, reference, spread};
 const KEYS: [&str; 5] = ["expert", "method", "mode", "policy", "demonstrations"];
 
 fn params(title: &str, columns: &[&str]) -> Value {
-    json!({"title": title, "profile": "thesis", "keys": KEYS, "columns": columns})
+    json!({"title": title, "profile": "thesis", "full_profile": "thesis", "reference_name": "thesis", "keys": KEYS, "columns": columns})
 }
 
 /// A table of the evaluations whose labels include `part`; each cell is off the thesis's by a little of its own.
@@ -68,7 +69,7 @@ fn without_columns_every_cell_is_a_row_and_without_a_reference_there_is_no_thesi
     }
     bench.run().unwrap();
     insta::assert_snapshot!("long_markdown", output(&bench, "markdown"));
-    assert!(output(&bench, "csv").ends_with("clipped,bc,stochastic,gaussian,20,5.00,0.00,2,,\n"));
+    assert!(output(&bench, "csv").ends_with("clipped,bc,stochastic,gaussian,20,5.00,0.00,2,0,,\n"));
 }
 
 #[test]
@@ -87,7 +88,7 @@ fn the_std_is_the_one_of_the_thesis_so_equal_scores_give_equal_numbers() {
         let cells: Vec<&str> = line.split(',').collect();
         assert_eq!(
             (cells[5], cells[6]),
-            (&*format!("{}.00", cells[8]), &*format!("{}.00", cells[9])),
+            (&*format!("{}.00", cells[9]), &*format!("{}.00", cells[10])),
             "{line}"
         );
     }
@@ -106,7 +107,7 @@ fn two_runs_give_the_same_bytes() {
 
 #[test]
 fn rows_and_columns_keep_the_order_of_the_input_and_not_the_alphabet() {
-    let with = json!({"title": "T", "profile": "thesis", "keys": ["row", "column"], "columns": ["column"]});
+    let with = json!({"title": "T", "profile": "full", "keys": ["row", "column"], "columns": ["column"]});
     let mut bench = Bench::new::<Table>(&with, 0).unwrap();
     for (n, labels) in [("z", "20"), ("z", "3"), ("a", "100"), ("a", "20"), ("m", "3")].iter().enumerate() {
         let path = fakes::scores(&bench, &n.to_string(), &[n as f64]);
@@ -119,7 +120,7 @@ fn rows_and_columns_keep_the_order_of_the_input_and_not_the_alphabet() {
 
 #[test]
 fn evaluations_that_differ_outside_the_keys_are_pooled_and_the_table_says_so() {
-    let with = json!({"title": "Pooled", "profile": "thesis", "keys": ["policy"]});
+    let with = json!({"title": "Pooled", "profile": "full", "keys": ["policy"]});
     let mut bench = Bench::new::<Table>(&with, 0).unwrap();
     for (name, policy, seed, values) in [
         ("a", "beta", "1", vec![10.0, 20.0]),
@@ -137,7 +138,7 @@ fn evaluations_that_differ_outside_the_keys_are_pooled_and_the_table_says_so() {
 
 #[test]
 fn a_reference_may_know_more_or_fewer_cells_than_the_run() {
-    let with = json!({"title": "T", "profile": "thesis", "keys": ["policy"], "columns": ["policy"]});
+    let with = json!({"title": "T", "profile": "full", "keys": ["policy"], "columns": ["policy"]});
     let mut bench = Bench::new::<Table>(&with, 0).unwrap();
     for policy in ["beta", "gaussian", "uniform"] {
         let path = fakes::scores(&bench, policy, &[1.0, 2.0]);
@@ -152,14 +153,32 @@ fn a_reference_may_know_more_or_fewer_cells_than_the_run() {
 }
 
 #[test]
+fn a_cell_of_an_agent_whose_training_diverged_is_marked() {
+    let with = json!({"title": "T", "profile": "full", "keys": ["policy"]});
+    let mut bench = Bench::new::<Table>(&with, 0).unwrap();
+    for (policy, diverged_at_step) in [("beta", None), ("gaussian", Some(8192))] {
+        let path = fakes::scores(&bench, policy, &[1.0, 2.0]);
+        let mut rows = scores::read("scores", &path).unwrap();
+        rows.iter_mut().for_each(|row| row.diverged_at_step = diverged_at_step);
+        scores::write(&path, &rows).unwrap();
+        bench = bench.input("scores", &path, &[("policy", policy)]);
+    }
+    bench.run().unwrap();
+    assert!(output(&bench, "csv").contains("beta,1.50,0.50,2,0,,\ngaussian,1.50,0.50,2,1,,\n"));
+    let page = output(&bench, "markdown");
+    assert!(page.contains("**training diverged**") && page.contains("policy=gaussian"), "{page}");
+    assert!(!page.contains("policy=beta"), "{page}");
+}
+
+#[test]
 fn labels_with_commas_quotes_and_bars_survive_both_formats() {
-    let with = json!({"title": "a|b", "profile": "thesis", "keys": ["lr, decay", "policy"]});
+    let with = json!({"title": "a|b", "profile": "full", "keys": ["lr, decay", "policy"]});
     let bench = Bench::new::<Table>(&with, 0).unwrap();
     let path = fakes::scores(&bench, "a", &[1.0]);
     let bench = bench.input("scores", &path, &[("lr, decay", "1e-3, \"fast\""), ("policy", "a|b")]);
     bench.run().unwrap();
     assert!(output(&bench, "csv").starts_with("\"lr, decay\",policy,mean"));
-    assert!(output(&bench, "csv").contains("\"1e-3, \"\"fast\"\"\",a|b,1.00,0.00,1,,\n"));
+    assert!(output(&bench, "csv").contains("\"1e-3, \"\"fast\"\"\",a|b,1.00,0.00,1,0,,\n"));
     assert!(output(&bench, "markdown").contains("# a\\|b"));
     assert!(output(&bench, "markdown").contains("policy: a\\|b"));
 }
@@ -206,9 +225,9 @@ fn files_that_hold_no_scores_are_refused() {
 
 #[test]
 fn a_reference_without_a_key_names_the_columns_seen_and_expected() {
-    let bench = table(&json!({"title": "T", "profile": "thesis", "keys": ["expert", "polcy"]}), &[]);
+    let bench = table(&json!({"title": "T", "profile": "full", "keys": ["expert", "polcy"]}), &[]);
     assert!(failure(&bench).contains("has no label `polcy`"), "the evaluations are read first");
-    let with = json!({"title": "T", "profile": "thesis", "keys": ["expert", "seed"]});
+    let with = json!({"title": "T", "profile": "full", "keys": ["expert", "seed"]});
     let bench = Bench::new::<Table>(&with, 0).unwrap();
     let path = fakes::scores(&bench, "a", &[1.0]);
     let bench = bench.input("scores", &path, &[("expert", "clipped"), ("seed", "1")]);
@@ -246,6 +265,11 @@ fn all_wrong_parameters_are_reported_at_once() {
         "columns.2: `mode` is in `columns` twice, expected it once",
     ];
     assert_eq!(found, expected);
+    for name in ["", "a\nb", "this run"] {
+        let with = json!({"title": "T", "profile": "p", "keys": ["mode"], "reference_name": name});
+        let problems = Kind::of::<Table>().normalize(&with).unwrap_err();
+        assert_eq!(problems[0].path, ["reference_name"], "{name:?}");
+    }
     let problems =
         Kind::of::<Table>().normalize(&json!({"title": "T", "profile": "p", "keys": []})).unwrap_err();
     assert_eq!(problems[0].message, "`keys` is empty, expected at least one label");

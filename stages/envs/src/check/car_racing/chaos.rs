@@ -1,5 +1,7 @@
 //! How soon a script becomes unpredictable: the simulation against itself, begun a ten-thousandth otherwise.
 
+use dril_stage_api::math;
+
 use super::motion::{RULES, controls};
 use super::{CheckError, Recordings, Report};
 use crate::car_racing::positions::{BODIES, Velocity, anchor, rotate};
@@ -24,7 +26,7 @@ pub fn check(recordings: &Recordings, report: &mut Report) -> Result<(), CheckEr
                 one.step(&controls(action));
                 other.step(&controls(action));
                 let [a, b] = [&one, &other].map(|simulation| simulation.car().hull().position);
-                (a[0] - b[0]).hypot(a[1] - b[1]) > APART
+                math::hypot(a[0] - b[0], a[1] - b[1]) > APART
             });
             steps.push(apart.unwrap_or(run.actions.rows()) as f64);
         }

@@ -1,5 +1,7 @@
 //! The car's motion against recorded runs: the same actions from the same start, no correction on the way.
 
+use dril_stage_api::math;
+
 use super::{Array, CheckError, Recordings, Report, Run};
 use crate::car_racing::car::{Car, Controls};
 use crate::car_racing::positions::{Pose, Velocity};
@@ -74,7 +76,7 @@ impl Replay {
     fn look(&mut self, run: &Run, simulation: &Simulation, moment: usize) {
         let [x, y] = simulation.car().hull().position;
         let state = run.states.row(moment);
-        self.distance.push((x - state[0]).hypot(y - state[1]));
+        self.distance.push(math::hypot(x - state[0], y - state[1]));
         self.tiles.push((simulation.tiles().visits() as f64 - run.visited.values[moment]).abs());
     }
 }

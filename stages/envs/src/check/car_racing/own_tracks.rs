@@ -1,5 +1,7 @@
 //! Tracks of own seeds against what was measured on the original's.
 
+use dril_stage_api::math;
+
 use super::{CheckError, Recordings, Report};
 use crate::car_racing::CarRacing;
 use crate::car_racing::track::Track;
@@ -49,7 +51,7 @@ fn mean(values: &[f64]) -> f64 {
 fn length(track: &Track) -> f64 {
     let points = &track.way_points;
     let next = points.iter().cycle().skip(1);
-    points.iter().zip(next).map(|(a, b)| (a.x - b.x).hypot(a.y - b.y)).sum()
+    points.iter().zip(next).map(|(a, b)| math::hypot(a.x - b.x, a.y - b.y)).sum()
 }
 
 /// Mean change of heading per way point, radians.

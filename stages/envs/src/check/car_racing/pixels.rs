@@ -1,5 +1,7 @@
 //! Pictures of recorded states against recorded pictures.
 
+use dril_stage_api::math;
+
 use super::watched::Watched;
 use super::{Array, CheckError, Npz, Recordings, Report};
 use crate::CarRacingVersion;
@@ -95,7 +97,7 @@ fn scene_of<'a>(row: &[f64], faded: &'a [bool]) -> Scene<'a> {
 pub(super) fn motion(pose: &[f64], velocity: &[f64]) -> Motion {
     Motion {
         position: [pose[0], pose[1]],
-        cos_sin: [pose[2].cos(), pose[2].sin()],
+        cos_sin: [math::cos(pose[2]), math::sin(pose[2])],
         velocity: [velocity[0], velocity[1]],
         spin: velocity[2],
     }

@@ -1,0 +1,274 @@
+//! The ensemble's network: for images one encoder that all members share, then a head of its own for each member; for
+//! vectors fully separate members (thesis section 4.2.5 and the code it used).
+
+use std::path::Path;
+
+use dril_envs::{ActionSpace, ObservationSpace};
+use dril_stage_api::{StageError, StreamRng};
+use serde::{Deserialize, Serialize};
+
+use crate::nn::{
+    Activation, Batch, Builder, Gradients, LayerInit, Network, NodeId, Parameters, Sequential, Tape, Wanted,
+    weights,
+};
+use crate::policy::{check_frames, file::ObservationV1};
+
+/// Width of all fully connected layers.
+const HIDDEN: usize = 512;
+
+/// All that determines the layout of an ensemble's parameters.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Architecture {
+    /// The input.
+    pub observation: ObservationSpace,
+    /// The output: members answer with numbers, or with the logits of choices.
+    pub actions: ActionSpace,
+    /// How many members there are.
+    pub members: usize,
+}
+
+/// Several policies that answer with an action each; how far they are apart is DRIL's cost.
+#[derive(Debug)]
+pub struct Ensemble {
+    architecture: Architecture,
+    heads: Vec<NodeId>,
+    network: Network,
+}
+
+impl Ensemble {
+    /// A new ensemble with weights drawn from the stream (PyTorch's default distribution).
+    ///
+    /// # Errors
+    /// Fewer than two members (their covariance would not exist), no action, or frames that the convolutions cannot
+    /// take.
+    pub fn new(architecture: Architecture, stream: &mut StreamRng) -> Result<Self, StageError> {
+        Self::build(architecture, Some(stream))
+    }
+
+    /// With weights from the stream, or zeros.
+    fn build(architecture: Architecture, stream: Option<&mut StreamRng>) -> Result<Self, StageError> {
+        check(architecture)?;
+        let init = LayerInit::Default;
+        let mut build = Builder::new();
+        let (encoder, features) = match architecture.observation {
+            ObservationSpace::Image { height, width, stack } => {
+                let (mut encoder, pixels) =
+                    build.convolutions("conv", (stack, height, width), [32, 64, 64], init);
+                build.linear(&mut encoder, "shared", (pixels, HIDDEN), init, Activation::Relu);
+                (Some(build.node(None, encoder)), HIDDEN)
+            }
+            ObservationSpace::Vector { len } => (None, len),
+        };
+        let heads = (0..architecture.members).map(|member| {
+            let mut head = Sequential::default();
+            let mut layer = |layer: usize, shape, activation| {
+                build.linear(&mut head, &format!("member.{member}.{layer}"), shape, init, activation);
+            };
+            layer(0, (features, HIDDEN), Activation::Relu);
+            layer(1, (HIDDEN, HIDDEN), Activation::Relu);
+            layer(2, (HIDDEN, architecture.actions.outputs()), Activation::Linear);
+            build.node(encoder, head)
+        });
+        let heads = heads.collect();
+        Ok(Self { architecture, heads, network: Network::new(build.finish(stream)) })
+    }
+
+    /// What determines the layout of its parameters.
+    pub fn architecture(&self) -> Architecture {
+        self.architecture
+    }
+
+    /// The weights of encoder and heads.
+    pub fn params(&self) -> &Parameters {
+        &self.network.params
+    }
+
+    /// The weights, to be changed.
+    pub fn params_mut(&mut self) -> &mut Parameters {
+        &mut self.network.params
+    }
+
+    /// The network.
+    pub fn network_mut(&mut self) -> &mut Network {
+        &mut self.network
+    }
+
+    /// What every member answers to every observation, `[member][row][output]`, not clipped. The encoder runs once.
+    pub fn answers(&self, observations: &Batch) -> Vec<f32> {
+        let wanted = self.heads.iter().map(|node| Wanted { node: *node, rows: 0..observations.rows() });
+        self.network.infer(observations, &wanted.collect::<Vec<_>>()).concat()
+    }
+
+    /// What each member answers to its own slice of the batch, whose length is a multiple of the members, [rows of the
+    /// slice, outputs] each: member k sees the k-th of as many consecutive slices.
+    pub(super) fn forward_slices(&self, observations: &Batch) -> (Vec<Vec<f32>>, Tape) {
+        self.network.forward(observations, &self.slices(observations.rows()))
+    }
+
+    /// Writes the gradients of the parameters, given those of the answers to slices.
+    pub(super) fn backward(
+        &self,
+        observations: &Batch,
+        tape: Tape,
+        by_slice: Vec<Vec<f32>>,
+        gradients: &mut Gradients,
+    ) {
+        let arrived = self.slices(observations.rows()).into_iter().zip(by_slice).collect();
+        self.network.backward(observations, tape, arrived, gradients);
+    }
+
+    fn slices(&self, rows: usize) -> Vec<Wanted> {
+        let len = rows / self.heads.len();
+        let slice = |(at, node): (usize, &NodeId)| Wanted { node: *node, rows: at * len..(at + 1) * len };
+        self.heads.iter().enumerate().map(slice).collect()
+    }
+}
+
+fn check(architecture: Architecture) -> Result<(), StageError> {
+    let Architecture { observation, actions, members } = architecture;
+    if members < 2 {
+        return Err(StageError::failed(format!(
+            "an ensemble of {members} has no covariance, expected at least 2 members"
+        )));
+    }
+    if actions.outputs() == 0 {
+        return Err(StageError::failed("the actions have no dimension, expected at least one"));
+    }
+    check_frames(observation)
+}
+
+/// The content of the file's metadata.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct About {
+    /// Tells ensembles from policies, and this layout from later ones.
+    format: String,
+    ensemble: ArchitectureV1,
+}
+
+/// An architecture as `ensemble-v1` stores it.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ArchitectureV1 {
+    observation: ObservationV1,
+    /// Dimensions of an action, or choices.
+    actions: usize,
+    members: usize,
+    /// True where members answer with the logits of choices; left out where not.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    choices: bool,
+}
+
+impl From<Architecture> for ArchitectureV1 {
+    fn from(architecture: Architecture) -> Self {
+        let Architecture { observation, actions, members } = architecture;
+        let choices = matches!(actions, ActionSpace::Discrete { .. });
+        Self { observation: observation.into(), actions: actions.outputs(), members, choices }
+    }
+}
+
+impl From<ArchitectureV1> for Architecture {
+    fn from(stored: ArchitectureV1) -> Self {
+        let ArchitectureV1 { observation, actions, members, choices } = stored;
+        let actions = match choices {
+            true => ActionSpace::Discrete { actions },
+            false => ActionSpace::Continuous { dims: actions },
+        };
+        Self { observation: observation.into(), actions, members }
+    }
+}
+
+const FORMAT: &str = "ensemble-v1";
+
+impl Ensemble {
+    /// The bytes of its file.
+    ///
+    /// # Errors
+    /// The description cannot be written as JSON.
+    pub fn to_bytes(&self) -> Result<Vec<u8>, StageError> {
+        let about = About { format: FORMAT.to_owned(), ensemble: self.architecture.into() };
+        weights::to_bytes(&about, self.params())
+    }
+
+    /// Reads the ensemble at the input `port`.
+    ///
+    /// # Errors
+    /// The file cannot be read or holds no ensemble; the message says what was seen and expected.
+    pub fn load(port: &str, path: &Path) -> Result<Self, StageError> {
+        let file = weights::read(port, path)?;
+        let about: About = file.about(port, path)?;
+        if about.format != FORMAT {
+            let message = format!("has the format `{}`, expected `{FORMAT}`", about.format);
+            return Err(StageError::input(port, path, message));
+        }
+        let mut ensemble = Self::build(about.ensemble.into(), None)?;
+        file.fill(port, path, ensemble.params_mut())?;
+        Ok(ensemble)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dril_stage_api::Seed;
+
+    const ACTIONS: ActionSpace = ActionSpace::Continuous { dims: 2 };
+    const VECTORS: Architecture =
+        Architecture { observation: ObservationSpace::Vector { len: 3 }, actions: ACTIONS, members: 4 };
+    const IMAGES: Architecture = Architecture {
+        observation: ObservationSpace::Image { height: 36, width: 36, stack: 2 },
+        actions: ACTIONS,
+        members: 3,
+    };
+
+    fn new(architecture: Architecture) -> Ensemble {
+        Ensemble::new(architecture, &mut Seed(1).stream("init")).unwrap()
+    }
+
+    #[test]
+    fn each_member_answers_to_its_slice_as_it_answers_to_all() {
+        let ensemble = new(VECTORS);
+        let numbers = (0..24).map(|at| (at as f32 * 0.37).sin()).collect();
+        let batch = Batch::Vectors { rows: 8, numbers };
+        let (all, (slices, _)) = (ensemble.answers(&batch), ensemble.forward_slices(&batch));
+        assert_eq!((all.len(), slices.len()), (4 * 8 * 2, 4));
+        for (member, slice) in slices.iter().enumerate() {
+            assert_eq!(slice[..], all[member * 16 + member * 4..][..4]);
+        }
+    }
+
+    #[test]
+    fn members_begin_apart_and_share_the_encoder_for_images() {
+        let ensemble = new(IMAGES);
+        let bytes = (0..36 * 36 * 2).map(|at| (at % 251) as u8).collect();
+        let answers = ensemble.answers(&Batch::Images { rows: 1, bytes });
+        assert_eq!(answers.len(), 6);
+        assert!((answers[0] - answers[2]).abs() > 1e-4);
+        let params = ensemble.params();
+        let names: Vec<&str> = params.ids().map(|id| params.spec(id).name.as_str()).collect();
+        assert_eq!(names.iter().filter(|name| name.starts_with("conv.0")).count(), 2);
+        assert_eq!(names.iter().filter(|name| name.starts_with("member.2")).count(), 6);
+    }
+
+    #[test]
+    fn an_ensemble_survives_its_file_and_a_policy_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("ensemble.safetensors");
+        let ensemble = new(VECTORS);
+        std::fs::write(&path, ensemble.to_bytes().unwrap()).unwrap();
+        let read = Ensemble::load("ensemble", &path).unwrap();
+        assert_eq!(read.architecture(), VECTORS);
+        assert_eq!(read.params().values(), ensemble.params().values());
+        let other = weights::to_bytes(&"policy", ensemble.params()).unwrap();
+        std::fs::write(&path, other).unwrap();
+        let message = Ensemble::load("ensemble", &path).unwrap_err().to_string();
+        assert!(message.contains("other weights than expected"), "{message}");
+    }
+
+    #[test]
+    fn one_member_is_refused_with_the_reason() {
+        let lone = Architecture { members: 1, ..VECTORS };
+        let message = Ensemble::new(lone, &mut Seed(1).stream("init")).unwrap_err().to_string();
+        assert!(message.contains("at least 2 members"), "{message}");
+    }
+}

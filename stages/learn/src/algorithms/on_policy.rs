@@ -1,0 +1,425 @@
+//! On-policy training: rollouts and updates in turn. `ppo` is this loop alone; `dril` hooks into it to make rewards of its
+//! own and to interleave behaviour cloning. What an update does is in [`super::ppo`].
+//!
+//! The whole state can be saved after every single step and minibatch, and training goes on bit-identically.
+
+use std::ops::Range;
+
+use dril_envs::VecEnv;
+use dril_kinds::{Algorithm, OnDivergence, OnPolicyParams, UpdateSettings};
+use dril_stage_api::{Ctx, StageError, StreamRng};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
+
+use super::ppo::{LearnError, Update, UpdateStats, gae};
+use crate::nn::{Gradients, Optimizer, OptimizerSettings};
+use crate::policy::Policy;
+use crate::training::checkpoint::{self, Arrays, foreign};
+use crate::training::episodes::EpisodeLog;
+use crate::training::log::{RecentScores, Speed, TrainingLog};
+use crate::training::normalize::RewardNormalizer;
+use crate::training::rollout::{Rollout, Sampler, SamplerSettings, SamplerState};
+use crate::training::tensorboard::Curves;
+
+/// The settings of a training; see [`OnPolicyParams`] for each.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Settings {
+    /// Environments stepped together.
+    pub n_envs: usize,
+    /// Steps of each between two updates.
+    pub n_steps: usize,
+    /// Environment steps of the whole training, over which the learning rate falls.
+    pub total_timesteps: u64,
+    /// The steps of it that this stage makes.
+    pub steps: Range<u64>,
+    /// The optimizer's step size at the start.
+    pub learning_rate: f64,
+    /// True: it falls linearly to 0.
+    pub anneal_learning_rate: bool,
+    /// Added to the optimizer's denominator.
+    pub adam_epsilon: f64,
+    /// The settings of an update.
+    pub update: UpdateSettings,
+    /// How rollouts are gathered.
+    pub sampler: SamplerSettings,
+    /// True where the environments' rewards are scaled by [`RewardNormalizer::clipped`].
+    pub normalize_reward: bool,
+    /// What happens when an update diverges.
+    pub on_divergence: OnDivergence,
+}
+
+impl Settings {
+    /// Those of `params`, for a whole training.
+    pub fn new(params: &OnPolicyParams, algorithm: Algorithm, on_divergence: OnDivergence) -> Self {
+        Self {
+            n_envs: params.n_envs as usize,
+            n_steps: params.n_steps as usize,
+            total_timesteps: params.total_timesteps,
+            steps: 0..params.to_step(),
+            learning_rate: params.learning_rate,
+            anneal_learning_rate: params.anneal_learning_rate,
+            adam_epsilon: params.adam_epsilon,
+            update: params.update(algorithm),
+            sampler: SamplerSettings {
+                mean_action_probability: params.mean_action_probability,
+                bootstrap_time_limits: params.bootstrap_time_limits,
+                normalize_observations: false,
+            },
+            normalize_reward: false,
+            on_divergence,
+        }
+    }
+
+    fn updates_in(&self, steps: u64) -> u64 {
+        steps / (self.n_envs * self.n_steps) as u64
+    }
+
+    /// The learning rate of update `update` (from 0) of the whole training.
+    fn rate(&self, update: u64) -> f64 {
+        let left = 1.0 - update as f64 / self.updates_in(self.total_timesteps) as f64;
+        self.learning_rate * if self.anneal_learning_rate { left } else { 1.0 }
+    }
+}
+
+/// What an algorithm adds to the loop. Every method does nothing by default.
+pub trait Hooks {
+    /// The part of a checkpoint that is not in arrays.
+    type State: Serialize + DeserializeOwned;
+    /// Columns of the log after those of every training.
+    const COLUMNS: &'static [&'static str] = &[];
+
+    /// An episode ended with this score (the environment's own).
+    fn episode_ended(&mut self, score: f64) {
+        let _ = score;
+    }
+
+    /// A rollout is complete, played by `policy`; update number `update` (from 0) is about to learn from it. Rewards may
+    /// be replaced. Gives the U-signal of each episode that ended in the rollout, in order, or nothing.
+    ///
+    /// # Errors
+    /// The algorithm's own.
+    fn rollout_ended(
+        &mut self,
+        rollout: &mut Rollout,
+        policy: &Policy,
+        update: u64,
+    ) -> Result<Vec<f64>, StageError> {
+        let _ = (rollout, policy, update);
+        Ok(Vec::new())
+    }
+
+    /// The policy has learnt from a minibatch.
+    ///
+    /// # Errors
+    /// The network has diverged.
+    fn minibatch_learnt(&mut self, policy: &mut Policy) -> Result<(), LearnError> {
+        let _ = policy;
+        Ok(())
+    }
+
+    /// The update is over.
+    fn update_ended(&mut self, policy: &Policy) {
+        let _ = policy;
+    }
+
+    /// The update's values of [`Hooks::COLUMNS`]; not a number where there is none.
+    fn log_row(&mut self) -> Vec<f64> {
+        Vec::new()
+    }
+
+    /// Adds the state to a checkpoint.
+    fn save(&self, arrays: &mut Arrays) -> Self::State;
+}
+
+/// What training gives.
+#[derive(Debug)]
+pub struct Trained<H> {
+    /// The agent after the last update, or with the last finite weights.
+    pub policy: Policy,
+    /// The hooks as they stand.
+    pub hooks: H,
+    /// One row per update.
+    pub log: TrainingLog,
+    /// One row per finished episode.
+    pub episodes: EpisodeLog,
+}
+
+/// A training under way.
+pub struct Training<H> {
+    settings: Settings,
+    policy: Policy,
+    hooks: H,
+    rollout: Rollout,
+    sampler: Sampler,
+    optimizer: Optimizer,
+    gradients: Gradients,
+    progress: Progress,
+}
+
+/// The rest of a training's state; part of a checkpoint.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Progress {
+    /// The order of minibatches.
+    minibatches: StreamRng,
+    updates_done: u64,
+    /// Steps of the rollout under way.
+    t: usize,
+    /// The update under way.
+    update: Option<Update>,
+    /// None where rewards stay as they are, or are made by the hooks.
+    rewards: Option<RewardNormalizer>,
+    scores: RecentScores,
+    log: TrainingLog,
+    episodes: EpisodeLog,
+}
+
+/// The part of a checkpoint that is not in arrays.
+#[derive(Serialize, Deserialize)]
+struct State<P, S> {
+    sampler: SamplerState,
+    optimizer_steps: u64,
+    progress: P,
+    hooks: S,
+}
+
+/// The log's columns that every on-policy training has. `diverged` is 1 in the last row of a training that ended because
+/// its update diverged, else 0.
+pub const LOG_COLUMNS: [&str; 14] = [
+    "update",
+    "step",
+    "episodes",
+    "score_last",
+    "score_mean_10",
+    "score_mean_100",
+    "policy_loss",
+    "value_loss",
+    "entropy",
+    "explained_variance",
+    "clip_fraction",
+    "approx_kl",
+    "learning_rate",
+    "diverged",
+];
+
+impl<H: Hooks> Training<H> {
+    /// A training at its start, or where its checkpoint left it. `hooks` makes the algorithm's part, from the state of
+    /// the checkpoint where there is one.
+    ///
+    /// # Errors
+    /// The environments', the hooks', or a checkpoint of another training.
+    pub fn start(
+        settings: Settings,
+        policy: Policy,
+        envs: VecEnv,
+        ctx: &Ctx<'_>,
+        hooks: impl FnOnce(&Policy, Option<(H::State, &mut Arrays)>) -> Result<H, StageError>,
+    ) -> Result<Self, StageError> {
+        match checkpoint::load::<State<Progress, H::State>>(ctx.checkpoints())? {
+            None => {
+                let hooks = hooks(&policy, None)?;
+                let mut training = Self::new(settings, policy, envs, ctx, hooks);
+                training.sampler.start(&mut training.rollout)?;
+                Ok(training)
+            }
+            Some((state, mut arrays)) => {
+                let hooks = hooks(&policy, Some((state.hooks, &mut arrays)))?;
+                let mut training = Self::new(settings, policy, envs, ctx, hooks);
+                let weights = arrays.take_f32("weights", training.policy.params().values().len())?;
+                training.policy.params_mut().set_values(&weights);
+                training.optimizer.restore("optimizer", state.optimizer_steps, &mut arrays)?;
+                training.rollout.restore(&mut arrays)?;
+                training.sampler.restore(state.sampler)?;
+                if state.progress.t > training.rollout.steps {
+                    return Err(foreign("its rollout is longer"));
+                }
+                training.progress = state.progress;
+                Ok(training)
+            }
+        }
+    }
+
+    fn new(settings: Settings, mut policy: Policy, envs: VecEnv, ctx: &Ctx<'_>, hooks: H) -> Self {
+        let architecture = policy.architecture();
+        let epsilon = settings.adam_epsilon;
+        let optimizer = match settings.update.algorithm {
+            Algorithm::Ppo => OptimizerSettings { epsilon, ..OptimizerSettings::default() },
+            Algorithm::A2c => OptimizerSettings::rmsprop(0.99, epsilon),
+        };
+        let normalizer = || RewardNormalizer::clipped(settings.n_envs, settings.update.gamma);
+        let columns = [&LOG_COLUMNS[..], H::COLUMNS].concat();
+        Self {
+            optimizer: Optimizer::new(policy.params(), policy.params().ids().collect(), optimizer),
+            gradients: Gradients::new(policy.params()),
+            rollout: Rollout::new(
+                architecture.observation,
+                architecture.action_len(),
+                settings.n_envs,
+                settings.n_steps,
+            ),
+            sampler: Sampler::new(envs, ctx.seed(), settings.sampler, policy.statistics.take()),
+            progress: Progress {
+                minibatches: ctx.stream("minibatch"),
+                updates_done: settings.updates_in(settings.steps.start),
+                t: 0,
+                update: None,
+                rewards: settings.normalize_reward.then(normalizer),
+                scores: RecentScores::default(),
+                log: TrainingLog::new(&columns),
+                episodes: EpisodeLog::default(),
+            },
+            settings,
+            policy,
+            hooks,
+        }
+    }
+
+    /// The whole training: rollouts and updates in turn until the steps are used up.
+    ///
+    /// # Errors
+    /// The environments', the hooks', a network that has diverged where that is an error, or a stop on request (after a
+    /// checkpoint).
+    pub fn run(mut self, ctx: &mut Ctx<'_>) -> Result<Trained<H>, StageError> {
+        let mut curves = Curves::open(ctx)?;
+        let speed = Speed::from(self.steps_done());
+        while self.progress.updates_done < self.settings.updates_in(self.settings.steps.end) {
+            self.gather(ctx, speed)?;
+            if self.progress.update.is_none() {
+                self.begin_update()?;
+            }
+            let outcome = self.learn(ctx)?;
+            self.end_update(outcome.is_err());
+            curves.last_row(self.steps_done(), &self.progress.log)?;
+            if let Err(reason) = outcome {
+                self.diverged(&reason)?;
+                break;
+            }
+        }
+        self.policy.statistics = self.sampler.statistics().cloned();
+        let Progress { log, episodes, .. } = self.progress;
+        Ok(Trained { policy: self.policy, hooks: self.hooks, log, episodes })
+    }
+
+    /// Fills the rollout.
+    fn gather(&mut self, ctx: &mut Ctx<'_>, speed: Speed) -> Result<(), StageError> {
+        while self.progress.t < self.rollout.steps {
+            let finished = self.sampler.step(&self.policy, &mut self.rollout, self.progress.t)?;
+            self.progress.t += 1;
+            for episode in finished {
+                self.progress.scores.push(episode.score);
+                self.hooks.episode_ended(episode.score);
+                self.progress.episodes.push(self.steps_done(), self.progress.updates_done, &episode);
+            }
+            let (done, total, mean) =
+                (self.steps_done(), self.settings.steps.end, self.progress.scores.mean(10));
+            ctx.progress(done, total, "steps", || format!("score {mean:.0}, {:.0} steps/s", speed.at(done)));
+            // Not between a full rollout and its update: what the update is made of is saved with it.
+            if self.progress.t < self.rollout.steps {
+                self.save_if_due(ctx)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Computes advantages from the rollout's rewards and starts the update.
+    fn begin_update(&mut self) -> Result<(), StageError> {
+        let update = self.progress.updates_done;
+        let signals = self.hooks.rollout_ended(&mut self.rollout, &self.policy, update)?;
+        self.progress.episodes.add_signals(&signals);
+        if let Some(normalizer) = &mut self.progress.rewards {
+            normalizer.normalize(&mut self.rollout.rewards, &self.rollout.dones);
+        }
+        let last = self.policy.values(&self.rollout.observations(self.rollout.steps));
+        let UpdateSettings { gamma, gae_lambda, .. } = self.settings.update;
+        self.progress.update = Some(Update::new(gae(&self.rollout, &last, gamma, gae_lambda)));
+        Ok(())
+    }
+
+    /// Learns from the minibatches that are left. The inner error says how the network diverged; its weights are the
+    /// last finite ones.
+    fn learn(&mut self, ctx: &mut Ctx<'_>) -> Result<Result<(), String>, StageError> {
+        let rate = self.settings.rate(self.progress.updates_done);
+        loop {
+            let Progress { update, minibatches, .. } = &mut self.progress;
+            let Some(update) = update else { return Ok(Ok(())) };
+            let settings = &self.settings.update;
+            let Some(minibatch) = update.next_minibatch(settings, minibatches) else { return Ok(Ok(())) };
+            let (policy, optimizer) = (&mut self.policy, &mut self.optimizer);
+            let learner = (policy, optimizer, &mut self.gradients);
+            let learnt = update.learn(learner, &self.rollout, &minibatch, settings, rate);
+            match learnt.and_then(|()| self.hooks.minibatch_learnt(&mut self.policy)) {
+                Ok(()) => self.save_if_due(ctx)?,
+                Err(LearnError::Diverged(reason)) => return Ok(Err(reason)),
+            }
+        }
+    }
+
+    /// Writes the update's row and makes room for the next rollout.
+    fn end_update(&mut self, diverged: bool) {
+        self.hooks.update_ended(&self.policy);
+        let stats = self.progress.update.take().map(|update| update.stats(&self.rollout)).unwrap_or_default();
+        let row = self.log_row(&stats, diverged);
+        let own = self.hooks.log_row();
+        self.progress.log.push(&[&row[..], &own].concat());
+        self.rollout.begin_next();
+        self.progress.updates_done += 1;
+        self.progress.t = 0;
+    }
+
+    /// The row of an update, in the order of [`LOG_COLUMNS`].
+    fn log_row(&self, stats: &UpdateStats, diverged: bool) -> [f64; 14] {
+        let Progress { updates_done, scores, .. } = &self.progress;
+        [
+            *updates_done as f64,
+            self.steps_done() as f64,
+            scores.episodes as f64,
+            scores.last(),
+            scores.mean(10),
+            scores.mean(100),
+            stats.policy_loss,
+            stats.value_loss,
+            stats.entropy,
+            stats.explained_variance,
+            stats.clip_fraction,
+            stats.approx_kl,
+            self.settings.rate(*updates_done),
+            f64::from(u8::from(diverged)),
+        ]
+    }
+
+    /// Marks the agent of a training that diverged, or fails, as the settings say.
+    fn diverged(&mut self, reason: &str) -> Result<(), StageError> {
+        let step = self.steps_done();
+        match self.settings.on_divergence {
+            OnDivergence::Error => Err(StageError::failed(format!(
+                "training diverged at step {step}: {reason}; try a lower `learning_rate` or `clip_range`, or set \
+                 `on_divergence` to `keep-last-finite`"
+            ))),
+            OnDivergence::KeepLastFinite => {
+                self.policy.diverged_at_step = Some(step);
+                Ok(())
+            }
+        }
+    }
+
+    /// Environment steps done, those before this stage's first among them.
+    fn steps_done(&self) -> u64 {
+        self.progress.updates_done * self.rollout.len() as u64 + (self.progress.t * self.rollout.envs) as u64
+    }
+
+    /// Saves a checkpoint where it is time; stops after it where a stop was asked for.
+    fn save_if_due(&self, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
+        if ctx.checkpoint_due() {
+            let mut arrays = Arrays::new();
+            arrays.put_f32("weights", self.policy.params().values());
+            self.optimizer.save("optimizer", &mut arrays);
+            self.rollout.save(&mut arrays);
+            let state = State {
+                sampler: self.sampler.state(),
+                optimizer_steps: self.optimizer.steps(),
+                progress: &self.progress,
+                hooks: self.hooks.save(&mut arrays),
+            };
+            checkpoint::save(ctx.checkpoints(), &state, &arrays)?;
+        }
+        ctx.stop_if_cancelled()
+    }
+}

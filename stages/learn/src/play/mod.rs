@@ -1,0 +1,6 @@
+//! Acting: playing listed episodes, and the stages and services that do.
+
+pub mod act;
+pub mod collect;
+pub mod evaluate;
+pub mod replay;

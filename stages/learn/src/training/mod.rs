@@ -1,0 +1,8 @@
+//! What every training needs around its algorithm: rollouts, running statistics, logs and checkpoints.
+
+pub mod checkpoint;
+pub mod episodes;
+pub mod log;
+pub mod normalize;
+pub mod rollout;
+pub mod tensorboard;
