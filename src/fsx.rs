@@ -1,6 +1,7 @@
 //! Files, with the path in every error. The only user of `std::fs` in the engine, so that what touches the disk, and in
 //! which order it becomes durable, can be read in one place.
 
+mod copies;
 mod dir;
 pub mod fault;
 mod folder;
@@ -12,9 +13,13 @@ use std::io::{self, BufRead, Read, Seek, SeekFrom, Write};
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
+pub use copies::{Made, clone_file, copy_with_mode, is_in_other_hands};
 pub use dir::{Dir, rename_new};
 use fault::step;
-pub use folder::{Inside, Links, Outside, Stat, holds_at_most, outside, put, walk};
+pub use folder::{
+    Inside, Links, Outside, Stat, What, holds_at_most, is_plain_target, nothing, outside, put, relative,
+    settle_links, walk,
+};
 pub use lock::Lock;
 
 /// What was tried on which path, and the system's answer.
@@ -125,6 +130,15 @@ pub fn identity(path: &Path) -> Result<String> {
 pub fn is_writable(path: &Path) -> Result<bool> {
     let meta = std::fs::symlink_metadata(path).map_err(FsError::at("look at", path))?;
     Ok(meta.permissions().mode() & 0o222 != 0)
+}
+
+/// True where somebody has the right to execute a file.
+///
+/// # Errors
+/// It cannot be looked at.
+pub fn is_executable(path: &Path) -> Result<bool> {
+    let meta = std::fs::symlink_metadata(path).map_err(FsError::at("look at", path))?;
+    Ok(meta.permissions().mode() & 0o111 != 0)
 }
 
 /// Sets the time of a file's last change to now.
@@ -248,9 +262,34 @@ pub fn symlink(to: &Path, at: &Path) -> Result<()> {
     std::os::unix::fs::symlink(to, at).map_err(FsError::at("make a link at", at))
 }
 
+/// As [`symlink`], and makes the folder that `at` lies in.
+///
+/// # Errors
+/// It cannot be made.
+pub fn symlink_into(to: &Path, at: &Path) -> Result<()> {
+    if let Some(folder) = at.parent() {
+        create_dir_all(folder)?;
+    }
+    symlink(to, at)
+}
+
+/// Puts a copy of the file that a symbolic link leads to in the link's place; a file stays as it is.
+///
+/// # Errors
+/// It cannot be read, or not be written.
+pub fn be_a_file(path: &Path) -> Result<()> {
+    let meta = std::fs::symlink_metadata(path).map_err(FsError::at("look at", path))?;
+    if meta.is_symlink() { copy_atomic(path, path) } else { Ok(()) }
+}
+
 /// Where a symbolic link leads; `None` where there is none or it cannot be read.
 pub fn link_target(path: &Path) -> Option<PathBuf> {
     std::fs::read_link(path).ok()
+}
+
+/// The path without links in it; `None` where there is no such path.
+pub fn real(path: &Path) -> Option<PathBuf> {
+    path.canonicalize().ok()
 }
 
 /// Size, and time of the last change in nanoseconds, of a regular file, links followed; `None` for anything else.
@@ -357,15 +396,7 @@ pub fn copy(from: &Path, to: &Path) -> Result<()> {
 pub fn copy_from(source: &mut impl Read, name: &Path, to: &Path) -> Result<()> {
     step("write", to)?;
     let mut file = File::create(to).map_err(FsError::at("write", to))?;
-    let mut buffer = vec![0; 256 * 1024];
-    loop {
-        match source.read(&mut buffer) {
-            Ok(0) => return Ok(()),
-            Ok(count) => file.write_all(&buffer[..count]).map_err(FsError::at("write", to))?,
-            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-            Err(error) => return Err(FsError::at("read", name)(error)),
-        }
-    }
+    copies::pour(source, name, &mut file, to)
 }
 
 fn place(path: &Path, fill: impl FnOnce(&mut File) -> Result<()>) -> Result<()> {
@@ -418,11 +449,12 @@ pub fn first_difference(one: &Path, other: &Path) -> Result<u64> {
     }
 }
 
-/// The last lines of a text file: at most `lines`, read from at most the last 64 KiB.
+/// The last lines of a text file: at most `lines`, read from at most the last 64 KiB, each of at most `width` characters. Of
+/// a line that was written over itself (a progress bar) only its last state is given.
 ///
 /// # Errors
 /// It cannot be read.
-pub fn tail(path: &Path, lines: usize) -> Result<Vec<String>> {
+pub fn tail(path: &Path, lines: usize, width: usize) -> Result<Vec<String>> {
     const WINDOW: u64 = 64 * 1024;
     let mut file = open(path)?;
     let length = file.metadata().map_err(FsError::at("read", path))?.len();
@@ -431,7 +463,16 @@ pub fn tail(path: &Path, lines: usize) -> Result<Vec<String>> {
     file.read_to_end(&mut bytes).map_err(FsError::at("read", path))?;
     let text = String::from_utf8_lossy(&bytes);
     let all: Vec<&str> = text.lines().collect();
-    Ok(all[all.len().saturating_sub(lines)..].iter().map(|line| (*line).to_owned()).collect())
+    Ok(all[all.len().saturating_sub(lines)..].iter().map(|line| last_state(line, width)).collect())
+}
+
+/// What is to be seen of a line at its end, in at most `width` characters.
+fn last_state(line: &str, width: usize) -> String {
+    let state = line.rsplit('\r').find(|state| !state.trim().is_empty()).unwrap_or_default();
+    match state.char_indices().nth(width) {
+        Some((end, _)) => format!("{}… ({} more characters)", &state[..end], state[end..].chars().count()),
+        None => state.to_owned(),
+    }
 }
 
 #[cfg(test)]
@@ -473,8 +514,12 @@ mod tests {
         let path = folder.path().join("log");
         let text: String = (0..20_000).map(|line| format!("line {line}\n")).collect();
         write(&path, text.as_bytes()).unwrap();
-        assert_eq!(tail(&path, 2).unwrap(), ["line 19998", "line 19999"]);
-        assert_eq!(tail(&path, 0).unwrap(), [""; 0]);
+        assert_eq!(tail(&path, 2, 80).unwrap(), ["line 19998", "line 19999"]);
+        assert_eq!(tail(&path, 0, 80).unwrap(), [""; 0]);
+        std::fs::write(&path, format!("one\r two\r  \r\nabc{}\n", "x".repeat(100_000))).unwrap();
+        assert_eq!(tail(&path, 1, 3).unwrap(), ["xxx… (65532 more characters)"]);
+        std::fs::write(&path, "10 %\r 50 %\r100 %\r\nend").unwrap();
+        assert_eq!(tail(&path, 5, 80).unwrap(), ["100 %", "end"]);
     }
 
     #[test]

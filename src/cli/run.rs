@@ -11,7 +11,7 @@ use super::lockfile::{self, Keys, LockFile};
 use super::pipeline::Reading;
 use super::report::{self, Ending, Left};
 use super::unchanged::Circumstances;
-use super::{checked, pipeline, results, signals};
+use super::{checked, pipeline, resources, results, signals};
 use crate::error::{Error, ErrorKind, exit_codes};
 use crate::exec::{self, ChildRunner, Executed, Options};
 use crate::fsx;
@@ -38,10 +38,13 @@ pub(super) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Erro
     }
     // Only of a file that did not change while it was read.
     let circumstances = circumstances.filter(|before| Circumstances::of(args).as_ref() == Some(before));
-    let mut parts = reading.parts.clone();
-    parts.extend(plan.files.values().map(|file| (file.path.clone(), file.digest)));
+    let mut parts = super::unchanged::with_rights(&reading.parts);
+    let outside = plan.files.values();
+    parts.extend(outside.map(|file| (file.path.clone(), plan::named(&file.digest, file.executable))));
     let lock = Locked::read(args)?;
     lock.check_plan(&plan)?;
+    let folder = args.out.clone().unwrap_or_else(|| results::default_folder(graph));
+    results::check_owner(&folder, &args.pipeline.file, graph)?;
     let options = options(args, began)?;
     let mut reporter = report::choose(args, graph);
     reporter.planned(&plan, options.threads);
@@ -52,9 +55,8 @@ pub(super) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Erro
         scope.spawn(|| reading.keep());
         exec::execute(plan, &store, &runner, &options, &stop, &mut |event| reporter.event(event))
     })?;
-    let folder = args.out.clone().unwrap_or_else(|| results::default_folder(graph));
     let place = |stage| executed.outputs(selected.place(stage)?);
-    let published = results::publish(&folder, selected.all(), &store, place);
+    let published = results::publish(&folder, &args.pipeline.file, selected.all(), &store, place);
     let mut error = None;
     let published = published.unwrap_or_else(|failed| {
         error = Some(failed);
@@ -86,6 +88,8 @@ pub(super) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Erro
 }
 
 fn runner() -> Result<ChildRunner, Error> {
+    // This program starts nothing but stages while it runs them.
+    exec::claim_all_children();
     ChildRunner::this_program()
         .map_err(|error| Error::new(ErrorKind::Io, format!("cannot find this program's file: {error}")))
 }
@@ -100,6 +104,7 @@ fn options(args: &RunArgs, began: Instant) -> Result<Options, Error> {
         curves,
         keep_going: !args.fail_fast,
         deadline: args.time.and_then(|time| began.checked_add(time)),
+        resources: resources::units(&args.resources)?,
         about: about(args),
         ..Options::default()
     };

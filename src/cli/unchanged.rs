@@ -16,6 +16,7 @@ use super::{lockfile, pipeline};
 use crate::error::Error;
 use crate::exec::Executed;
 use crate::fsx;
+use crate::plan;
 use crate::resolve::Graph;
 use crate::store::{Digest, Settled, Store, hash_file};
 
@@ -27,7 +28,7 @@ const LARGEST: u64 = 16 << 20;
 struct Note {
     pipeline: String,
     profile: String,
-    /// Files that the pipeline file includes and files from outside, as the long way found them.
+    /// Files that the pipeline file includes and files from outside, as the long way found them (see [`with_rights`]).
     files: BTreeMap<PathBuf, Digest>,
     /// The variables that stages name, each with the digest of its value.
     variables: BTreeMap<String, Option<Digest>>,
@@ -52,6 +53,7 @@ impl Circumstances {
             store: _,
             out,
             jobs: _,
+            resources: _,
             checkpoint_every: _,
             tensorboard: _,
             fail_fast: _,
@@ -148,10 +150,17 @@ impl Circumstances {
 fn hash_small(path: &Path) -> Option<Digest> {
     match fsx::entry(path) {
         Ok(Some(fsx::Entry::File(bytes))) if bytes <= LARGEST => {
-            hash_file(path).ok().map(|(digest, _)| digest)
+            let executable = fsx::is_executable(path).ok()?;
+            hash_file(path).ok().map(|(digest, _)| plan::named(&digest, executable))
         }
         _ => None,
     }
+}
+
+/// What these files are called here: by their contents, and whether they may be executed.
+pub(super) fn with_rights(files: &BTreeMap<PathBuf, Digest>) -> BTreeMap<PathBuf, Digest> {
+    let executable = |path: &PathBuf| fsx::is_executable(path).unwrap_or(false);
+    files.iter().map(|(path, digest)| (path.clone(), plan::named(digest, executable(path)))).collect()
 }
 
 /// The variables whose values enter the parameters of stages. Some have a value in the pipeline file instead; to look at

@@ -211,7 +211,7 @@ fn instance_of(
     let own_seed = stage.seed.as_ref().map(|node| globals::seed(node, scope, filler));
     let (kind, with) = (expanded.kind?, with?);
     let whole = stage.with.as_ref().map_or(stage.name.span, |with| with.span);
-    let mut checked = kind.look(&params::to_json(&with));
+    let mut checked = kind.look(&params::to_params(&with, kind.texts()));
     if let Ok(look) = &mut checked
         && from_environment(&kind, &mut look.params, environment)
     {

@@ -29,7 +29,7 @@ mod wiring;
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
-pub use graph::{From, Graph, Source, StageIndex, StageInstance, Wire};
+pub use graph::{From, Graph, Source, StageIndex, StageInstance, Wire, file_name};
 pub use pattern::{NoStage, Pattern};
 pub use target::{Selected, Selection};
 

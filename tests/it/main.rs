@@ -28,12 +28,14 @@ mod language;
 mod limits;
 mod parse;
 mod plan;
+mod programs;
 mod prop;
 mod resolve;
 mod results;
 mod samples;
 mod scenario;
 mod sealed;
+mod survivors;
 #[cfg(feature = "stages")]
 mod thesis;
 mod tidy;
