@@ -5,11 +5,13 @@ mod copies;
 mod dir;
 pub mod fault;
 mod folder;
+mod links;
 mod lock;
+mod tail;
 
 pub use std::fs::File;
 use std::fs::{OpenOptions, Permissions};
-use std::io::{self, BufRead, Read, Seek, SeekFrom, Write};
+use std::io::{self, BufRead, Read, Write};
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
@@ -20,7 +22,9 @@ pub use folder::{
     Inside, Links, Outside, Stat, What, holds_at_most, is_plain_target, nothing, outside, put, relative,
     settle_links, walk,
 };
+pub use links::{be_a_file, link_target, real, symlink, symlink_into};
 pub use lock::Lock;
+pub use tail::tail;
 
 /// What was tried on which path, and the system's answer.
 #[derive(Debug, thiserror::Error)]
@@ -254,44 +258,6 @@ pub fn rename_into(from: &Path, to: &Path) -> Result<bool> {
     }
 }
 
-/// Makes a symbolic link at `at` that leads to `to`.
-///
-/// # Errors
-/// It cannot be made.
-pub fn symlink(to: &Path, at: &Path) -> Result<()> {
-    std::os::unix::fs::symlink(to, at).map_err(FsError::at("make a link at", at))
-}
-
-/// As [`symlink`], and makes the folder that `at` lies in.
-///
-/// # Errors
-/// It cannot be made.
-pub fn symlink_into(to: &Path, at: &Path) -> Result<()> {
-    if let Some(folder) = at.parent() {
-        create_dir_all(folder)?;
-    }
-    symlink(to, at)
-}
-
-/// Puts a copy of the file that a symbolic link leads to in the link's place; a file stays as it is.
-///
-/// # Errors
-/// It cannot be read, or not be written.
-pub fn be_a_file(path: &Path) -> Result<()> {
-    let meta = std::fs::symlink_metadata(path).map_err(FsError::at("look at", path))?;
-    if meta.is_symlink() { copy_atomic(path, path) } else { Ok(()) }
-}
-
-/// Where a symbolic link leads; `None` where there is none or it cannot be read.
-pub fn link_target(path: &Path) -> Option<PathBuf> {
-    std::fs::read_link(path).ok()
-}
-
-/// The path without links in it; `None` where there is no such path.
-pub fn real(path: &Path) -> Option<PathBuf> {
-    path.canonicalize().ok()
-}
-
 /// Size, and time of the last change in nanoseconds, of a regular file, links followed; `None` for anything else.
 pub fn stamp(path: &Path) -> Option<(u64, i128)> {
     let meta = std::fs::metadata(path).ok().filter(std::fs::Metadata::is_file)?;
@@ -449,32 +415,6 @@ pub fn first_difference(one: &Path, other: &Path) -> Result<u64> {
     }
 }
 
-/// The last lines of a text file: at most `lines`, read from at most the last 64 KiB, each of at most `width` characters. Of
-/// a line that was written over itself (a progress bar) only its last state is given.
-///
-/// # Errors
-/// It cannot be read.
-pub fn tail(path: &Path, lines: usize, width: usize) -> Result<Vec<String>> {
-    const WINDOW: u64 = 64 * 1024;
-    let mut file = open(path)?;
-    let length = file.metadata().map_err(FsError::at("read", path))?.len();
-    file.seek(SeekFrom::Start(length.saturating_sub(WINDOW))).map_err(FsError::at("read", path))?;
-    let mut bytes = Vec::new();
-    file.read_to_end(&mut bytes).map_err(FsError::at("read", path))?;
-    let text = String::from_utf8_lossy(&bytes);
-    let all: Vec<&str> = text.lines().collect();
-    Ok(all[all.len().saturating_sub(lines)..].iter().map(|line| last_state(line, width)).collect())
-}
-
-/// What is to be seen of a line at its end, in at most `width` characters.
-fn last_state(line: &str, width: usize) -> String {
-    let state = line.rsplit('\r').find(|state| !state.trim().is_empty()).unwrap_or_default();
-    match state.char_indices().nth(width) {
-        Some((end, _)) => format!("{}… ({} more characters)", &state[..end], state[end..].chars().count()),
-        None => state.to_owned(),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -506,20 +446,6 @@ mod tests {
         write_atomic(&path, b"old").unwrap();
         assert!(copy_atomic(&folder.path().join("missing"), &path).is_err());
         assert_eq!(read(&path).unwrap(), b"old");
-    }
-
-    #[test]
-    fn the_tail_is_the_last_lines() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("log");
-        let text: String = (0..20_000).map(|line| format!("line {line}\n")).collect();
-        write(&path, text.as_bytes()).unwrap();
-        assert_eq!(tail(&path, 2, 80).unwrap(), ["line 19998", "line 19999"]);
-        assert_eq!(tail(&path, 0, 80).unwrap(), [""; 0]);
-        std::fs::write(&path, format!("one\r two\r  \r\nabc{}\n", "x".repeat(100_000))).unwrap();
-        assert_eq!(tail(&path, 1, 3).unwrap(), ["xxx… (65532 more characters)"]);
-        std::fs::write(&path, "10 %\r 50 %\r100 %\r\nend").unwrap();
-        assert_eq!(tail(&path, 5, 80).unwrap(), ["100 %", "end"]);
     }
 
     #[test]

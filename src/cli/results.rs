@@ -110,9 +110,10 @@ pub(super) fn publish<'a>(
 /// A file that is not there any more has no results to lose; nor has one that is the same under another name.
 ///
 /// # Errors
-/// The folder belongs to another file, or cannot be read.
+/// The folder belongs to another file.
 pub(super) fn check_owner(folder: &Path, file: &Path, graph: &Graph) -> Result<(), Error> {
-    let note = read_note(folder)?;
+    // A folder that cannot be read is told when results are to be put there: that is no reason to lose the work.
+    let note = read_note(folder).unwrap_or_default();
     let Some(other) = note.source.filter(|_| !note.files.is_empty()).map(|source| folder.join(source)) else {
         return Ok(());
     };

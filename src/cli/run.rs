@@ -1,5 +1,6 @@
 //! `dril-pipe run`: brings every stage of a pipeline up to date and copies its results.
 
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Instant;
 
@@ -38,13 +39,10 @@ pub(super) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Erro
     }
     // Only of a file that did not change while it was read.
     let circumstances = circumstances.filter(|before| Circumstances::of(args).as_ref() == Some(before));
-    let mut parts = super::unchanged::with_rights(&reading.parts);
-    let outside = plan.files.values();
-    parts.extend(outside.map(|file| (file.path.clone(), plan::named(&file.digest, file.executable))));
+    let parts = super::unchanged::read_from(&reading.parts, &plan);
     let lock = Locked::read(args)?;
     lock.check_plan(&plan)?;
-    let folder = args.out.clone().unwrap_or_else(|| results::default_folder(graph));
-    results::check_owner(&folder, &args.pipeline.file, graph)?;
+    let folder = results_folder(args, graph)?;
     let options = options(args, began)?;
     let mut reporter = report::choose(args, graph);
     reporter.planned(&plan, options.threads);
@@ -85,6 +83,13 @@ pub(super) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Erro
         code = checked::main(args, graph, &store, &runner, &options, &stop)?;
     }
     Ok(ExitCode::from(code))
+}
+
+/// Where the results go: a folder that is not another pipeline's.
+fn results_folder(args: &RunArgs, graph: &Graph) -> Result<PathBuf, Error> {
+    let folder = args.out.clone().unwrap_or_else(|| results::default_folder(graph));
+    results::check_owner(&folder, &args.pipeline.file, graph)?;
+    Ok(folder)
 }
 
 fn runner() -> Result<ChildRunner, Error> {
@@ -153,7 +158,7 @@ fn left(args: &RunArgs, graph: &Graph, store: &Store, threads: usize) -> Result<
 
 /// What a run has to do with the lock file beside the pipeline.
 struct Locked {
-    path: std::path::PathBuf,
+    path: PathBuf,
     there: Option<LockFile>,
     /// `--locked`: it must hold.
     must_hold: bool,

@@ -16,7 +16,7 @@ use super::{lockfile, pipeline};
 use crate::error::Error;
 use crate::exec::Executed;
 use crate::fsx;
-use crate::plan;
+use crate::plan::{self, Plan};
 use crate::resolve::Graph;
 use crate::store::{Digest, Settled, Store, hash_file};
 
@@ -28,7 +28,7 @@ const LARGEST: u64 = 16 << 20;
 struct Note {
     pipeline: String,
     profile: String,
-    /// Files that the pipeline file includes and files from outside, as the long way found them (see [`with_rights`]).
+    /// Files that the pipeline file includes and files from outside, as the long way found them (see [`read_from`]).
     files: BTreeMap<PathBuf, Digest>,
     /// The variables that stages name, each with the digest of its value.
     variables: BTreeMap<String, Option<Digest>>,
@@ -157,10 +157,14 @@ fn hash_small(path: &Path) -> Option<Digest> {
     }
 }
 
-/// What these files are called here: by their contents, and whether they may be executed.
-pub(super) fn with_rights(files: &BTreeMap<PathBuf, Digest>) -> BTreeMap<PathBuf, Digest> {
+/// The files that a plan was made from, by path: those that the pipeline file includes (`parts`) and those from outside.
+/// Each is called by its content, and whether it may be executed.
+pub(super) fn read_from(parts: &BTreeMap<PathBuf, Digest>, plan: &Plan<'_>) -> BTreeMap<PathBuf, Digest> {
     let executable = |path: &PathBuf| fsx::is_executable(path).unwrap_or(false);
-    files.iter().map(|(path, digest)| (path.clone(), plan::named(digest, executable(path)))).collect()
+    let parts = parts.iter().map(|(path, digest)| (path.clone(), plan::named(digest, executable(path))));
+    let outside = plan.files.values();
+    let outside = outside.map(|file| (file.path.clone(), plan::named(&file.digest, file.executable)));
+    parts.chain(outside).collect()
 }
 
 /// The variables whose values enter the parameters of stages. Some have a value in the pipeline file instead; to look at

@@ -78,7 +78,8 @@ pub(super) fn given_children(own: Pid) -> Vec<i32> {
     }
 }
 
-#[cfg(all(test, target_os = "linux"))]
+#[cfg(test)]
+#[cfg(target_os = "linux")]
 mod tests {
     use super::*;
 

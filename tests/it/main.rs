@@ -35,6 +35,7 @@ mod results;
 mod samples;
 mod scenario;
 mod sealed;
+mod size;
 mod survivors;
 #[cfg(feature = "stages")]
 mod thesis;

@@ -177,7 +177,9 @@ impl<'a> Teller<'a> {
     /// The first stage behind `at` in which something differs itself or that has several causes, and how many lie between.
     fn passed(&self, at: usize) -> (usize, usize) {
         let (mut end, mut passed) = (at, 0);
-        while let ([], [only]) = (self.at(end).reasons.as_slice(), self.at(end).causes.as_slice()) {
+        // What was never made differs in nothing.
+        let differs = |at: usize| self.at(at).reasons.iter().any(|reason| *reason != Reason::New);
+        while let ([only], false) = (self.at(end).causes.as_slice(), differs(end)) {
             (end, passed) = (only.at, passed + 1);
         }
         (end, passed.max(1) - 1)
