@@ -132,7 +132,7 @@ impl ChildRunner {
         let folder = self.real(launch.folder);
         survivors::take_orphans();
         let guarded = self.warden.guard(&folder)?;
-        let child = match process.spawn() {
+        let child = match start(process) {
             Ok(child) => child,
             Err(error) => return Ok(Exit::Failed(unstarted::reason(process, &error))),
         };
@@ -151,6 +151,20 @@ impl ChildRunner {
                 Ok(()) => exit(status, false, None),
             }),
         })
+    }
+}
+
+/// Starts a program. One that was just copied may be "busy" for a moment: a process that another thread is starting has all
+/// that is open here, until it becomes its own program.
+fn start(process: &mut Command) -> io::Result<Child> {
+    let began = Instant::now();
+    loop {
+        match process.spawn() {
+            Err(error) if error.kind() == io::ErrorKind::ExecutableFileBusy && began.elapsed() < GLANCE => {
+                std::thread::sleep(Duration::from_millis(2));
+            }
+            result => return result,
+        }
     }
 }
 

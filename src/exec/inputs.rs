@@ -9,6 +9,10 @@ use std::path::{Path, PathBuf};
 use super::work::Failure;
 use crate::store::{Digest, PrivateCopy, Store, StoreError};
 
+/// So many copies of a stage are held open, so that a file which takes the place of one is not taken for it. A process may
+/// have about a thousand files open.
+const HELD: usize = 32;
+
 /// More names than this are not listed.
 const NAMED: usize = 5;
 
@@ -34,18 +38,23 @@ pub(super) struct LaidOut {
 /// Puts every input into its place.
 pub(super) fn lay_out(placed: &[Placed], store: &Store) -> Result<LaidOut, Failure> {
     let mut laid = LaidOut::default();
+    let mut held = 0;
     for (number, input) in placed.iter().enumerate() {
         if number == 0
             && let Some(folder) = input.to.parent()
         {
             crate::fsx::create_dir_all(folder)?;
         }
-        let copies = place(input, store).map_err(|error| match error {
+        let mut copies = place(input, store).map_err(|error| match error {
             StoreError::Missing(_) | StoreError::Damaged(_) => {
                 Failure::of_store(format!("input `{}` cannot be read: {error}", input.port))
             }
             error => error.into(),
         })?;
+        for copy in copies.iter_mut().take(HELD.saturating_sub(held)) {
+            copy.hold()?;
+            held += 1;
+        }
         if !copies.is_empty() {
             laid.copies.push((input.port, input.to.clone(), copies));
         }
@@ -58,11 +67,7 @@ fn place(input: &Placed, store: &Store) -> Result<Vec<PrivateCopy>, StoreError> 
         (false, true) => store.lay_out(&input.digest, &input.to).map(|()| Vec::new()),
         (false, false) => Ok(Vec::new()),
         (true, true) => store.copy_out_folder(&input.digest, &input.to),
-        (true, false) => {
-            let mut copy = store.copy_out(&input.digest, &input.to, input.executable)?;
-            copy.hold()?;
-            Ok(vec![copy])
-        }
+        (true, false) => Ok(vec![store.copy_out(&input.digest, &input.to, input.executable)?]),
     }
 }
 

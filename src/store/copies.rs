@@ -102,12 +102,7 @@ impl Store {
             self.copy_out(&file.digest, &to.join(path), file.executable)
         };
         if files.len() < SIDE_BY_SIDE {
-            let held = |file| {
-                let mut copy: PrivateCopy = one(file)?;
-                copy.hold()?;
-                Ok(copy)
-            };
-            files.iter().map(held).collect()
+            files.iter().map(one).collect()
         } else {
             files.par_iter().map(one).collect()
         }
