@@ -138,7 +138,7 @@ stages:
     sealed.write("p.yaml", &text);
     ok(&sealed);
     assert_eq!(
-        sealed.read("results/p-default/use.t"),
+        sealed.read("results/p-default/use.csv"),
         "3\nlog\n3\nraw\nbest\nepoch-3.ckpt\nruns/3\n../epoch-3.ckpt\n"
     );
     assert!(ok(&sealed).contains("0 stages executed"));
@@ -335,7 +335,7 @@ fn what_programs_and_editors_leave_beside_the_code_runs_nothing_again() {
     let sealed = Sealed::with(&import(""));
     sealed.write("src/main.py", "print()");
     ok(&sealed);
-    assert_eq!(sealed.read("results/p-default/s.t"), ".\n./main.py\n");
+    assert_eq!(sealed.read("results/p-default/s.csv"), ".\n./main.py\n");
     for file in [
         "src/__pycache__/main.pyc",
         "src/.git/HEAD",
@@ -352,7 +352,7 @@ fn what_programs_and_editors_leave_beside_the_code_runs_nothing_again() {
     sealed.write("src/log.txt", "x");
     sealed.write("p.yaml", &import(", exclude: [/notes, \"*.swp\", \".*\", __pycache__]"));
     ok(&sealed);
-    assert_eq!(sealed.read("results/p-default/s.t"), ".\n./log.txt\n./main.py\n./main.py~\n");
+    assert_eq!(sealed.read("results/p-default/s.csv"), ".\n./log.txt\n./main.py\n./main.py~\n");
     sealed.write("p.yaml", &import(", exclude: [\"[\"]"));
     let refused = run_file(&sealed, "p.yaml");
     assert_eq!(refused.code, 3, "{refused:?}");
