@@ -25,9 +25,10 @@ use super::processes::{self, Process};
 /// The argument that makes this program a warden.
 pub const WARDEN: &str = "__warden";
 
-/// How long a program that was being started when the engine died is looked for, and one that goes on starting others is
-/// hunted.
+/// How long a program that was being started when the engine died is looked for.
 const SEARCH: Duration = Duration::from_secs(3);
+/// How long programs are hunted that go on starting others.
+const LONGEST: Duration = Duration::from_secs(60);
 
 /// The warden that was started last.
 static PID: AtomicI32 = AtomicI32::new(0);
@@ -190,11 +191,14 @@ pub fn watch_over() -> ExitCode {
     guarded.values().flatten().for_each(|group| kill_group(*group));
     let began = Instant::now();
     let being_started = guarded.values().any(Option::is_none);
-    while !guarded.is_empty() && began.elapsed() < SEARCH {
+    // What is killed leaves children of its own for the next round; a busy machine may take long for a round.
+    let mut rounds_without = 0;
+    while !guarded.is_empty() && began.elapsed() < LONGEST {
         // Whoever was given this process was given those of the engine, too.
         let parent = getppid().map_or(1, |parent| parent.as_raw_nonzero().get());
         let found = hunt(guarded.keys().map(PathBuf::as_path), parent);
-        if !found && !being_started {
+        rounds_without = if found { 0 } else { rounds_without + 1 };
+        if rounds_without >= 2 && (!being_started || began.elapsed() > SEARCH) {
             break;
         }
         std::thread::sleep(Duration::from_millis(20));
