@@ -24,7 +24,7 @@ pub mod exit_codes {
     pub const CHECK_FAILED: u8 = 5;
     /// The time of `run --for` was over; the next run goes on from there.
     pub const OUT_OF_TIME: u8 = 6;
-    /// Stopped by SIGINT or SIGTERM; the next run goes on from there.
+    /// Stopped by SIGINT, SIGTERM or SIGHUP; the next run goes on from there.
     pub const INTERRUPTED: u8 = 130;
 }
 
@@ -155,6 +155,10 @@ impl From<ExecError> for Error {
     fn from(error: ExecError) -> Self {
         match error {
             ExecError::Store(error) => error.into(),
+            ExecError::TooFew(error) => {
+                let hint = format!("say how many there are: `--resources {}={}`", error.name, error.wanted);
+                Self::new(ErrorKind::Usage, error).hint(hint)
+            }
             other => Self::new(ErrorKind::Io, other),
         }
     }

@@ -1,21 +1,30 @@
 //! Files, with the path in every error. The only user of `std::fs` in the engine, so that what touches the disk, and in
 //! which order it becomes durable, can be read in one place.
 
+mod copies;
 mod dir;
 pub mod fault;
 mod folder;
+mod links;
 mod lock;
+mod tail;
 
 pub use std::fs::File;
 use std::fs::{OpenOptions, Permissions};
-use std::io::{self, BufRead, Read, Seek, SeekFrom, Write};
+use std::io::{self, BufRead, Read, Write};
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
+pub use copies::{Made, clone_file, copy_with_mode, is_in_other_hands};
 pub use dir::{Dir, rename_new};
 use fault::step;
-pub use folder::{Inside, Links, Outside, Stat, holds_at_most, outside, put, walk};
+pub use folder::{
+    Inside, Links, Outside, Stat, What, holds_at_most, is_plain_target, nothing, outside, put, relative,
+    settle_links, walk,
+};
+pub use links::{be_a_file, link_target, real, symlink, symlink_into};
 pub use lock::Lock;
+pub use tail::tail;
 
 /// What was tried on which path, and the system's answer.
 #[derive(Debug, thiserror::Error)]
@@ -125,6 +134,15 @@ pub fn identity(path: &Path) -> Result<String> {
 pub fn is_writable(path: &Path) -> Result<bool> {
     let meta = std::fs::symlink_metadata(path).map_err(FsError::at("look at", path))?;
     Ok(meta.permissions().mode() & 0o222 != 0)
+}
+
+/// True where somebody has the right to execute a file.
+///
+/// # Errors
+/// It cannot be looked at.
+pub fn is_executable(path: &Path) -> Result<bool> {
+    let meta = std::fs::symlink_metadata(path).map_err(FsError::at("look at", path))?;
+    Ok(meta.permissions().mode() & 0o111 != 0)
 }
 
 /// Sets the time of a file's last change to now.
@@ -240,19 +258,6 @@ pub fn rename_into(from: &Path, to: &Path) -> Result<bool> {
     }
 }
 
-/// Makes a symbolic link at `at` that leads to `to`.
-///
-/// # Errors
-/// It cannot be made.
-pub fn symlink(to: &Path, at: &Path) -> Result<()> {
-    std::os::unix::fs::symlink(to, at).map_err(FsError::at("make a link at", at))
-}
-
-/// Where a symbolic link leads; `None` where there is none or it cannot be read.
-pub fn link_target(path: &Path) -> Option<PathBuf> {
-    std::fs::read_link(path).ok()
-}
-
 /// Size, and time of the last change in nanoseconds, of a regular file, links followed; `None` for anything else.
 pub fn stamp(path: &Path) -> Option<(u64, i128)> {
     let meta = std::fs::metadata(path).ok().filter(std::fs::Metadata::is_file)?;
@@ -357,15 +362,7 @@ pub fn copy(from: &Path, to: &Path) -> Result<()> {
 pub fn copy_from(source: &mut impl Read, name: &Path, to: &Path) -> Result<()> {
     step("write", to)?;
     let mut file = File::create(to).map_err(FsError::at("write", to))?;
-    let mut buffer = vec![0; 256 * 1024];
-    loop {
-        match source.read(&mut buffer) {
-            Ok(0) => return Ok(()),
-            Ok(count) => file.write_all(&buffer[..count]).map_err(FsError::at("write", to))?,
-            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-            Err(error) => return Err(FsError::at("read", name)(error)),
-        }
-    }
+    copies::pour(source, name, &mut file, to)
 }
 
 fn place(path: &Path, fill: impl FnOnce(&mut File) -> Result<()>) -> Result<()> {
@@ -418,22 +415,6 @@ pub fn first_difference(one: &Path, other: &Path) -> Result<u64> {
     }
 }
 
-/// The last lines of a text file: at most `lines`, read from at most the last 64 KiB.
-///
-/// # Errors
-/// It cannot be read.
-pub fn tail(path: &Path, lines: usize) -> Result<Vec<String>> {
-    const WINDOW: u64 = 64 * 1024;
-    let mut file = open(path)?;
-    let length = file.metadata().map_err(FsError::at("read", path))?.len();
-    file.seek(SeekFrom::Start(length.saturating_sub(WINDOW))).map_err(FsError::at("read", path))?;
-    let mut bytes = Vec::new();
-    file.read_to_end(&mut bytes).map_err(FsError::at("read", path))?;
-    let text = String::from_utf8_lossy(&bytes);
-    let all: Vec<&str> = text.lines().collect();
-    Ok(all[all.len().saturating_sub(lines)..].iter().map(|line| (*line).to_owned()).collect())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -465,16 +446,6 @@ mod tests {
         write_atomic(&path, b"old").unwrap();
         assert!(copy_atomic(&folder.path().join("missing"), &path).is_err());
         assert_eq!(read(&path).unwrap(), b"old");
-    }
-
-    #[test]
-    fn the_tail_is_the_last_lines() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("log");
-        let text: String = (0..20_000).map(|line| format!("line {line}\n")).collect();
-        write(&path, text.as_bytes()).unwrap();
-        assert_eq!(tail(&path, 2).unwrap(), ["line 19998", "line 19999"]);
-        assert_eq!(tail(&path, 0).unwrap(), [""; 0]);
     }
 
     #[test]

@@ -26,7 +26,7 @@ Exit codes:
   4    the store, the results folder or another file could not be read or written, or a program is missing
   5    a check did not hold: the store is damaged, or results are not what they were
   6    the time of `run --for` was over; the next run goes on from there
-  130  stopped by SIGINT or SIGTERM; the next run goes on from there";
+  130  stopped by SIGINT, SIGTERM or SIGHUP; the next run goes on from there";
 
 const REPLAY_EXAMPLES: &str = "\
 Examples:
@@ -163,6 +163,10 @@ pub(super) struct RunArgs {
     /// Threads that stages may keep busy side by side [default: those of the machine]
     #[arg(short, long, value_name = "N", value_parser = at_least_one)]
     pub jobs: Option<NonZeroUsize>,
+    /// How many there are of a resource that stages ask for, as in `gpu=2,licence=5` [default: 1 of each; of `gpu`, those of
+    /// the machine]
+    #[arg(long, value_name = "NAME=N", value_delimiter = ',', value_parser = resource)]
+    pub resources: Vec<(String, u32)>,
     /// Seconds between two checkpoints of a long stage
     #[arg(long, value_name = "SECONDS", default_value = "120", value_parser = seconds)]
     pub checkpoint_every: f64,
@@ -351,6 +355,15 @@ fn answer(error: &clap::Error, colour: bool) -> Request {
     let text = if colour { text.ansi().to_string() } else { text.to_string() };
     let code = u8::try_from(error.exit_code()).unwrap_or(crate::error::exit_codes::USAGE);
     Request::Answer(text, error.use_stderr(), code)
+}
+
+/// `gpu=2`
+fn resource(text: &str) -> Result<(String, u32), String> {
+    let Some((name, count)) = text.split_once('=') else {
+        return Err("expected a name and a whole number, as in `gpu=2`".to_owned());
+    };
+    let count = count.parse().map_err(|_| format!("`{count}` is no whole number, 0 or more"))?;
+    Ok((name.to_owned(), count))
 }
 
 fn time(text: &str) -> Result<std::time::Duration, String> {

@@ -17,6 +17,7 @@ mod plan;
 mod python;
 mod replay;
 mod report;
+mod resources;
 mod results;
 mod run;
 mod shell;

@@ -86,7 +86,7 @@ pub(super) fn load_with(
 ) -> Result<Graph, Error> {
     let name = SourceName(args.file.display().to_string());
     let spec = read(&args.file, &name, reading)?;
-    let choices = Choices { environment: environment(), ..args.choices() };
+    let choices = environment(args.choices());
     Ok(resolve::resolve(&spec, &choices, registry)?)
 }
 
@@ -96,10 +96,16 @@ fn read(file: &Path, name: &SourceName, reading: &mut Reading<'_>) -> Result<Spe
     Ok(reading.parse(file, &bytes, name)?)
 }
 
-/// The variables whose names and values are text.
-fn environment() -> BTreeMap<String, String> {
-    let all = std::env::vars_os();
-    all.filter_map(|(name, value)| Some((name.into_string().ok()?, value.into_string().ok()?))).collect()
+/// The choices with the variables of this process: those that are text, and the names of those that are not.
+fn environment(mut choices: Choices) -> Choices {
+    for (name, value) in std::env::vars_os() {
+        match (name.into_string(), value.into_string()) {
+            (Ok(name), Ok(value)) => drop(choices.environment.insert(name, value)),
+            (Ok(name), Err(_)) => drop(choices.not_text.insert(name)),
+            (Err(_), _) => {}
+        }
+    }
+    choices
 }
 
 /// Reads a pipeline file and resolves it with each of its profiles.
@@ -115,7 +121,7 @@ pub(super) fn load_all_profiles(file: &Path, registry: &Registry) -> Result<Vec<
     }
     let mut graphs = Vec::new();
     for profile in profiles {
-        let choices = Choices { profile, environment: environment(), ..Choices::default() };
+        let choices = environment(Choices { profile, ..Choices::default() });
         graphs.push(resolve::resolve(&spec, &choices, registry)?);
     }
     Ok(graphs)

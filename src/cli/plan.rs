@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use super::args::PlanArgs;
 use super::names::Names;
 use super::terminal::{Style, Terminal, count, estimate, print};
-use super::{columns, pipeline, why};
+use super::{columns, pipeline, results, why};
 use crate::error::Error;
 use crate::exec::Options;
 use crate::plan::{self, Estimates, Plan, Verdict};
@@ -133,6 +133,9 @@ fn table(plan: &Plan<'_>, estimates: &Estimates, all: bool, terminal: Terminal) 
     if !rows.is_empty() {
         text.push('\n');
     }
+    for note in results::cut_names(plan.graph) {
+        text += &format!("note: {note}\n");
+    }
     let width = terminal.width.unwrap_or(usize::MAX);
     text + &columns::wrap(&(summary(plan) + &time_left(plan, estimates)), width).join("\n") + "\n"
 }
@@ -201,6 +204,7 @@ fn as_json(plan: &Plan<'_>, estimates: &Estimates) -> Value {
         "pipeline": plan.graph.pipeline,
         "profile": plan.graph.profile,
         "counts": { "cached": cached, "run": run, "depends_on": depends },
+        "notes": results::cut_names(plan.graph),
         "stages": stages,
     })
 }

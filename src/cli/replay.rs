@@ -18,10 +18,13 @@ use crate::store::Store;
 
 /// The executable, beside this one, that acts.
 const WORKER: &str = "dril-pipe-learn";
+/// What it can write.
+const ENDINGS: [&str; 3] = ["gif", "apng", "png"];
 /// The name of the service that it is asked for.
 const SERVICE: &str = "__replay";
 
 pub(super) fn main(args: &ReplayArgs, registry: &Registry) -> Result<ExitCode, Error> {
+    check_out(&args.out)?;
     let (policy, env) = match fsx::entry(Path::new(&args.policy)) {
         Ok(Some(Entry::File(_))) => (PathBuf::from(&args.policy), None),
         _ => from_pipeline(args, registry)?,
@@ -46,6 +49,24 @@ pub(super) fn main(args: &ReplayArgs, registry: &Registry) -> Result<ExitCode, E
         )?;
     let code = status.code().and_then(|code| u8::try_from(code).ok());
     Ok(ExitCode::from(code.unwrap_or(exit_codes::STAGE_FAILED)))
+}
+
+/// Finds out that the file cannot be written before an episode is played for it.
+fn check_out(out: &Path) -> Result<(), Error> {
+    let ending = out.extension().and_then(|ending| ending.to_str()).unwrap_or_default();
+    if !ENDINGS.contains(&ending) {
+        let message = format!("`--out {}` ends in none of `.gif`, `.apng` and `.png`", out.display());
+        return Err(Error::new(ErrorKind::Usage, message)
+            .hint("`.gif` and `.apng` are videos, `.png` is six moments side by side"));
+    }
+    let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    match fsx::outside(folder) {
+        Ok(fsx::Outside::Folder) => Ok(()),
+        _ => Err(Error::new(
+            ErrorKind::Io,
+            format!("there is no folder `{}`, into which `--out` leads", folder.display()),
+        )),
+    }
 }
 
 fn read_env(text: &str) -> Result<Value, Error> {
@@ -162,6 +183,15 @@ mod tests {
         assert_eq!(parts("dril.peak"), of("dril", Some("peak")));
         assert_eq!(parts("train[seed=1]"), of("train[seed=1]", None));
         assert_eq!(parts("train"), of("train", None));
+    }
+
+    #[test]
+    fn a_file_that_cannot_be_written_is_told_before_anything_is_played() {
+        let code = |out: &str| check_out(Path::new(out)).map_err(|error| error.kind()).err();
+        assert_eq!(code("x.gif"), None);
+        assert_eq!(code("x.mp4"), Some(ErrorKind::Usage));
+        assert_eq!(code("x"), Some(ErrorKind::Usage));
+        assert_eq!(code("no/such/folder/x.png"), Some(ErrorKind::Io));
     }
 
     #[test]

@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::error::Error;
+use crate::error::{Error, ErrorKind};
 use crate::fsx;
-use crate::resolve::Graph;
+use crate::resolve::{Graph, file_name};
 use crate::store::{Digest, Outputs, Store, Stored};
 
 /// The note's file name.
@@ -16,12 +16,18 @@ const NOTE: &str = ".dril-pipe.json";
 /// The version of the note's format.
 const NOTE_VERSION: u32 = 1;
 
+/// With an output's name and ending behind it, a stem of so many bytes still fits.
+const SURELY_SHORT: usize = 120;
+
 /// What stands in the results folder, and what made it.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 struct Note {
     version: u32,
     pipeline: String,
     profile: String,
+    /// The pipeline file, relative to this folder; older notes have none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    source: Option<String>,
     files: BTreeMap<String, Entry>,
 }
 
@@ -58,6 +64,7 @@ pub(super) fn default_folder(graph: &Graph) -> PathBuf {
 /// The folder cannot be written, or the store not read.
 pub(super) fn publish<'a>(
     folder: &Path,
+    file: &Path,
     graph: &Graph,
     store: &Store,
     outputs: impl Fn(crate::resolve::StageIndex) -> Option<&'a Outputs>,
@@ -67,14 +74,15 @@ pub(super) fn publish<'a>(
     if wanted.values().all(|(_, stored)| stored.is_none()) && old.files.is_empty() {
         return Ok(None);
     }
+    fsx::create_dir_all(folder)?;
     let mut note = Note {
         version: NOTE_VERSION,
         pipeline: graph.pipeline.clone(),
         profile: graph.profile.clone(),
+        source: source(folder, file),
         files: BTreeMap::new(),
     };
     let mut published = Published { folder: folder.to_owned(), ..Published::default() };
-    fsx::create_dir_all(folder)?;
     for (name, (entry, stored)) in wanted {
         if let Some(stored) = stored {
             let path = folder.join(&name);
@@ -88,11 +96,58 @@ pub(super) fn publish<'a>(
         }
     }
     published.files = note.files.len();
-    published.removed = remove_stale(folder, &old, &note)?;
+    // What another profile made is still made by it.
+    if old.profile == note.profile {
+        published.removed = remove_stale(folder, &old, &note)?;
+    }
     if note != old {
         fsx::write_atomic(&folder.join(NOTE), to_json(&note).as_bytes())?;
     }
     Ok(Some(published))
+}
+
+/// Refuses a folder in which the results of another pipeline file are: two files of one `name` would remove each other's.
+/// A file that is not there any more has no results to lose; nor has one that is the same under another name.
+///
+/// # Errors
+/// The folder belongs to another file.
+pub(super) fn check_owner(folder: &Path, file: &Path, graph: &Graph) -> Result<(), Error> {
+    // A folder that cannot be read is told when results are to be put there: that is no reason to lose the work.
+    let note = read_note(folder).unwrap_or_default();
+    let Some(other) = note.source.filter(|_| !note.files.is_empty()).map(|source| folder.join(source)) else {
+        return Ok(());
+    };
+    let (Some(other), Some(own)) = (fsx::real(&other), fsx::real(file)) else { return Ok(()) };
+    if other == own || fsx::identity(&other)? == fsx::identity(&own)? {
+        return Ok(());
+    }
+    let has_results = graph
+        .stages
+        .node_weights()
+        .flat_map(|stage| &stage.ports.outputs)
+        .any(|output| output.artifact.is_result());
+    if !has_results {
+        return Ok(());
+    }
+    let here =
+        std::env::current_dir().ok().and_then(|here| other.strip_prefix(here).ok().map(Path::to_owned));
+    let message = format!(
+        "the results in `{}` are those of `{}`, which has the same name and profile",
+        folder.display(),
+        here.unwrap_or(other).display()
+    );
+    Err(Error::new(ErrorKind::Pipeline, message)
+        .hint(format!(
+            "give `{}` a `name` of its own, or its results a folder with `--out DIR`",
+            file.display()
+        ))
+        .hint("or remove that folder, if the other file's results are not wanted"))
+}
+
+/// The way from the results folder to the pipeline file; `None` where one of them cannot be found.
+fn source(folder: &Path, file: &Path) -> Option<String> {
+    let (folder, file) = (fsx::real(folder)?, fsx::real(file)?);
+    fsx::relative(&folder, &file).to_str().map(str::to_owned)
 }
 
 /// True where the folder has so many results, each as its note says.
@@ -118,14 +173,15 @@ fn wanted<'a>(
     for index in graph.stages.node_indices() {
         let stage = &graph.stages[index];
         for output in stage.ports.outputs.iter().filter(|output| output.artifact.is_result()) {
-            let mut name = format!("{}.{}", stage.file_stem(), output.extension);
+            let stem = stage.file_stem();
+            let mut name = file_name(&stem, &format!(".{}", output.extension));
             for number in 1.. {
                 // Two outputs of one ending, or names that differ only in characters that files should not have.
                 if !wanted.contains_key(&name) {
                     break;
                 }
                 let more = if number == 1 { String::new() } else { format!("-{number}") };
-                name = format!("{}-{}{more}.{}", stage.file_stem(), output.name, output.extension);
+                name = file_name(&stem, &format!("-{}{more}.{}", output.name, output.extension));
             }
             let stored = outputs(index).and_then(|outputs| outputs.get(output.name));
             // The digest of an unfinished stage is never used.
@@ -135,6 +191,26 @@ fn wanted<'a>(
         }
     }
     wanted
+}
+
+/// What is to be said of results before they are made: those whose names are too long for a file.
+pub(super) fn cut_names(graph: &Graph) -> Vec<String> {
+    let long: BTreeMap<&str, String> = graph
+        .stages
+        .node_weights()
+        .map(|stage| (&*stage.id, stage.file_stem()))
+        .filter(|(_, stem)| stem.len() > SURELY_SHORT)
+        .collect();
+    if long.is_empty() {
+        return Vec::new();
+    }
+    let cut = wanted(graph, |_| None).into_iter().filter(|(name, (entry, _))| {
+        long.get(entry.stage.as_str()).is_some_and(|stem| !name.starts_with(stem.as_str()))
+    });
+    cut.map(|(name, (entry, _))| {
+        format!("the result of `{}` has a name too long for a file and goes to `{name}`", entry.stage)
+    })
+    .collect()
 }
 
 /// True where the file has that content already.

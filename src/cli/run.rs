@@ -1,5 +1,6 @@
 //! `dril-pipe run`: brings every stage of a pipeline up to date and copies its results.
 
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Instant;
 
@@ -11,7 +12,7 @@ use super::lockfile::{self, Keys, LockFile};
 use super::pipeline::Reading;
 use super::report::{self, Ending, Left};
 use super::unchanged::Circumstances;
-use super::{checked, pipeline, results, signals};
+use super::{checked, pipeline, resources, results, signals};
 use crate::error::{Error, ErrorKind, exit_codes};
 use crate::exec::{self, ChildRunner, Executed, Options};
 use crate::fsx;
@@ -38,10 +39,10 @@ pub(super) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Erro
     }
     // Only of a file that did not change while it was read.
     let circumstances = circumstances.filter(|before| Circumstances::of(args).as_ref() == Some(before));
-    let mut parts = reading.parts.clone();
-    parts.extend(plan.files.values().map(|file| (file.path.clone(), file.digest)));
+    let parts = super::unchanged::read_from(&reading.parts, &plan);
     let lock = Locked::read(args)?;
     lock.check_plan(&plan)?;
+    let folder = results_folder(args, graph)?;
     let options = options(args, began)?;
     let mut reporter = report::choose(args, graph);
     reporter.planned(&plan, options.threads);
@@ -52,9 +53,8 @@ pub(super) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Erro
         scope.spawn(|| reading.keep());
         exec::execute(plan, &store, &runner, &options, &stop, &mut |event| reporter.event(event))
     })?;
-    let folder = args.out.clone().unwrap_or_else(|| results::default_folder(graph));
     let place = |stage| executed.outputs(selected.place(stage)?);
-    let published = results::publish(&folder, selected.all(), &store, place);
+    let published = results::publish(&folder, &args.pipeline.file, selected.all(), &store, place);
     let mut error = None;
     let published = published.unwrap_or_else(|failed| {
         error = Some(failed);
@@ -85,7 +85,16 @@ pub(super) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Erro
     Ok(ExitCode::from(code))
 }
 
+/// Where the results go: a folder that is not another pipeline's.
+fn results_folder(args: &RunArgs, graph: &Graph) -> Result<PathBuf, Error> {
+    let folder = args.out.clone().unwrap_or_else(|| results::default_folder(graph));
+    results::check_owner(&folder, &args.pipeline.file, graph)?;
+    Ok(folder)
+}
+
 fn runner() -> Result<ChildRunner, Error> {
+    // This program starts nothing but stages while it runs them.
+    exec::claim_all_children();
     ChildRunner::this_program()
         .map_err(|error| Error::new(ErrorKind::Io, format!("cannot find this program's file: {error}")))
 }
@@ -100,6 +109,7 @@ fn options(args: &RunArgs, began: Instant) -> Result<Options, Error> {
         curves,
         keep_going: !args.fail_fast,
         deadline: args.time.and_then(|time| began.checked_add(time)),
+        resources: resources::units(&args.resources)?,
         about: about(args),
         ..Options::default()
     };
@@ -148,7 +158,7 @@ fn left(args: &RunArgs, graph: &Graph, store: &Store, threads: usize) -> Result<
 
 /// What a run has to do with the lock file beside the pipeline.
 struct Locked {
-    path: std::path::PathBuf,
+    path: PathBuf,
     there: Option<LockFile>,
     /// `--locked`: it must hold.
     must_hold: bool,

@@ -16,6 +16,7 @@ use super::{lockfile, pipeline};
 use crate::error::Error;
 use crate::exec::Executed;
 use crate::fsx;
+use crate::plan::{self, Plan};
 use crate::resolve::Graph;
 use crate::store::{Digest, Settled, Store, hash_file};
 
@@ -27,7 +28,7 @@ const LARGEST: u64 = 16 << 20;
 struct Note {
     pipeline: String,
     profile: String,
-    /// Files that the pipeline file includes and files from outside, as the long way found them.
+    /// Files that the pipeline file includes and files from outside, as the long way found them (see [`read_from`]).
     files: BTreeMap<PathBuf, Digest>,
     /// The variables that stages name, each with the digest of its value.
     variables: BTreeMap<String, Option<Digest>>,
@@ -52,6 +53,7 @@ impl Circumstances {
             store: _,
             out,
             jobs: _,
+            resources: _,
             checkpoint_every: _,
             tensorboard: _,
             fail_fast: _,
@@ -148,10 +150,21 @@ impl Circumstances {
 fn hash_small(path: &Path) -> Option<Digest> {
     match fsx::entry(path) {
         Ok(Some(fsx::Entry::File(bytes))) if bytes <= LARGEST => {
-            hash_file(path).ok().map(|(digest, _)| digest)
+            let executable = fsx::is_executable(path).ok()?;
+            hash_file(path).ok().map(|(digest, _)| plan::named(&digest, executable))
         }
         _ => None,
     }
+}
+
+/// The files that a plan was made from, by path: those that the pipeline file includes (`parts`) and those from outside.
+/// Each is called by its content, and whether it may be executed.
+pub(super) fn read_from(parts: &BTreeMap<PathBuf, Digest>, plan: &Plan<'_>) -> BTreeMap<PathBuf, Digest> {
+    let executable = |path: &PathBuf| fsx::is_executable(path).unwrap_or(false);
+    let parts = parts.iter().map(|(path, digest)| (path.clone(), plan::named(digest, executable(path))));
+    let outside = plan.files.values();
+    let outside = outside.map(|file| (file.path.clone(), plan::named(&file.digest, file.executable)));
+    parts.chain(outside).collect()
 }
 
 /// The variables whose values enter the parameters of stages. Some have a value in the pipeline file instead; to look at

@@ -16,7 +16,8 @@ use super::pipeline::Reading;
 use super::terminal::{Style, Terminal, count, print, print_error, shown};
 use super::{pipeline, run, signals};
 use crate::error::{Error, exit_codes};
-use crate::fsx::{self, Links};
+use crate::fsx;
+use crate::plan;
 use crate::resolve::{From, Graph};
 
 /// How often the files are looked at.
@@ -71,11 +72,11 @@ fn files(args: &RunArgs, registry: &Registry) -> Vec<PathBuf> {
     files.extend(reading.parts.into_keys());
     if let Ok(graph) = graph {
         let base = pipeline::base(&args.pipeline);
-        for (path, is_folder) in outside(&graph) {
+        for (path, is_folder, exclude) in outside(&graph) {
             let path = base.join(path);
             if is_folder {
                 // Folders, too: they look otherwise when a file comes or goes.
-                for inside in fsx::walk(&path, Links::Follow).unwrap_or_default() {
+                for inside in plan::inside(&path, exclude).unwrap_or_default() {
                     let all = inside.path.ancestors().filter(|inside| !inside.as_os_str().is_empty());
                     files.extend(all.map(|inside| path.join(inside)));
                 }
@@ -88,12 +89,12 @@ fn files(args: &RunArgs, registry: &Registry) -> Vec<PathBuf> {
     files
 }
 
-/// The paths from outside; true for those of folders.
-fn outside(graph: &Graph) -> BTreeSet<(&str, bool)> {
+/// The paths from outside; true for those of folders, with what is left out of them.
+fn outside(graph: &Graph) -> BTreeSet<(&str, bool, &[String])> {
     let sources = graph.stages.node_weights().flat_map(|stage| &stage.inputs).flat_map(|wire| &wire.sources);
     sources
         .filter_map(|source| match &source.from {
-            From::File { path, folder, .. } => Some((path.as_str(), *folder)),
+            From::File { path, folder, exclude, .. } => Some((path.as_str(), *folder, exclude.as_slice())),
             From::Stage { .. } => None,
         })
         .collect()

@@ -54,6 +54,10 @@ fn one(reason: &Reason) -> String {
         Reason::Revision { old, new } => format!("its kind was revised: {old} -> {new}"),
         Reason::Kind { old, new } => format!("kind: {old} -> {new}"),
         Reason::Input { port, .. } => input(port, reason, 1),
+        Reason::Rights { port, from, executable } => {
+            let now = if *executable { "may be executed now" } else { "may not be executed any more" };
+            format!("input {port} ({}) {now}", printable(from))
+        }
         Reason::Lost { output } => format!("output `{output}` is missing in the store"),
         Reason::Damaged { error } => format!("its record cannot be read ({})", printable(error)),
     }

@@ -9,8 +9,8 @@ use std::os::fd::AsFd;
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
-use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use dril_stage_api::{Message, Prepared, StageError};
@@ -19,8 +19,11 @@ use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, wa
 
 use super::listen::Listener;
 use super::memory;
+use super::resources;
 use super::runner::{Exit, Launch, Runner};
 use super::stage::EXIT_STOPPED;
+use super::survivors::{self, Followed};
+use super::unstarted;
 use super::warden::{Guarded, Warden};
 use crate::fsx::{self, Entry, File};
 
@@ -47,13 +50,16 @@ pub struct ChildRunner {
     /// Arguments before the job file.
     args: Vec<OsString>,
     warden: Arc<Warden>,
+    /// The last folder of stages' folders that was asked for, and its path without links.
+    real: Arc<Mutex<(PathBuf, PathBuf)>>,
 }
 
 impl ChildRunner {
     /// `program` for the kinds that have no worker, with `args` before the job file; workers are looked for in its folder.
     pub fn new(program: impl Into<PathBuf>, args: impl IntoIterator<Item = OsString>) -> Self {
         let program = program.into();
-        Self { args: args.into_iter().collect(), warden: Arc::new(Warden::new(program.clone())), program }
+        let warden = Arc::new(Warden::new(program.clone()));
+        Self { args: args.into_iter().collect(), warden, program, real: Arc::default() }
     }
 
     /// This program and the workers beside it, as `__stage JOB`.
@@ -71,6 +77,18 @@ impl ChildRunner {
         }
     }
 
+    /// The path of a stage's folder without links in it: as the system names it.
+    fn real(&self, folder: &Path) -> PathBuf {
+        let (Some(above), Some(name)) = (folder.parent(), folder.file_name()) else {
+            return folder.to_owned();
+        };
+        let mut known = self.real.lock().unwrap_or_else(PoisonError::into_inner);
+        if known.0 != above {
+            *known = (above.to_owned(), fsx::real(above).unwrap_or_else(|| above.to_owned()));
+        }
+        known.1.join(name)
+    }
+
     /// A stage of our own kinds.
     fn spawn(&self, program: &Path, launch: &Launch<'_>, log: &File) -> io::Result<Child> {
         let threads = launch.threads.max(1).to_string();
@@ -79,6 +97,8 @@ impl ChildRunner {
         Command::new(program)
             .args(&self.args)
             .arg(job)
+            .env("DRIL_STAGE_FOLDER", launch.folder)
+            .envs(resources::variables(launch.units))
             .envs(THREAD_LIMITS.map(|name| (name, &threads)))
             .current_dir(launch.folder)
             .stdin(Stdio::piped())
@@ -105,23 +125,20 @@ impl ChildRunner {
         let log = fsx::open_append(launch.log).map_err(io::Error::other)?;
         let process = &mut prepared.process;
         cap_threads(process, launch.threads);
+        process.envs(resources::variables(launch.units));
         process
             .stdin(launch.lock.map_or_else(|| Ok(Stdio::null()), |lock| lock.as_input().map(Stdio::from))?);
         process.stdout(Stdio::piped()).stderr(log.try_clone()?).process_group(0);
-        // As the system names it.
-        let input = launch.lock.and_then(|lock| lock.path().canonicalize().ok());
-        input.iter().try_for_each(|input| self.warden.expect(input))?;
-        let spawned = process.spawn();
-        let watched = spawned.map(|child| {
-            let mut watched = Watched::new(child, Listener::new(log), launch)?;
-            watched.guarded = Some(self.warden.guard(watched.group)?);
-            Ok::<_, io::Error>(watched)
-        });
-        input.iter().for_each(|input| self.warden.settle(input));
-        let mut watched = match watched {
-            Ok(watched) => watched?,
-            Err(error) => return Ok(Exit::Failed(prepared.not_started(&error).to_string())),
+        let folder = self.real(launch.folder);
+        survivors::take_orphans();
+        let guarded = self.warden.guard(&folder)?;
+        let child = match start(process) {
+            Ok(child) => child,
+            Err(error) => return Ok(Exit::Failed(unstarted::reason(process, &error))),
         };
+        let mut watched = Watched::new(child, Listener::new(log), launch, &folder)?;
+        guarded.has_group(watched.group)?;
+        watched.guarded = Some(guarded);
         let status = watched.watch(hear)?;
         // Whatever its end: what it did to its inputs has to be known.
         let finished = (prepared.finish)(status);
@@ -134,6 +151,20 @@ impl ChildRunner {
                 Ok(()) => exit(status, false, None),
             }),
         })
+    }
+}
+
+/// Starts a program. One that was just copied may be "busy" for a moment: a process that another thread is starting has all
+/// that is open here, until it becomes its own program.
+fn start(process: &mut Command) -> io::Result<Child> {
+    let began = Instant::now();
+    loop {
+        match process.spawn() {
+            Err(error) if error.kind() == io::ErrorKind::ExecutableFileBusy && began.elapsed() < GLANCE => {
+                std::thread::sleep(Duration::from_millis(2));
+            }
+            result => return result,
+        }
     }
 }
 
@@ -160,8 +191,9 @@ impl Runner for ChildRunner {
             return self.run_program(prepared, launch, hear);
         }
         let log = fsx::open_append(launch.log).map_err(io::Error::other)?;
+        survivors::take_orphans();
         let child = self.spawn(&self.program(launch.kind.worker()), launch, &log)?;
-        let mut watched = Watched::new(child, Listener::new(log), launch)?;
+        let mut watched = Watched::new(child, Listener::new(log), launch, &self.real(launch.folder))?;
         let status = watched.watch(hear)?;
         if status.success() {
             return Ok(Exit::Done);
@@ -192,6 +224,8 @@ struct Watched<'a> {
     ended: Option<rustix::fd::OwnedFd>,
     listener: Listener,
     launch: &'a Launch<'a>,
+    /// All that it started.
+    followed: Followed,
     /// Where it does not see to it itself: that it dies with the engine.
     guarded: Option<Guarded<'a>>,
     asked: Option<Instant>,
@@ -204,7 +238,7 @@ struct Watched<'a> {
 }
 
 impl<'a> Watched<'a> {
-    fn new(child: Child, listener: Listener, launch: &'a Launch<'a>) -> io::Result<Self> {
+    fn new(child: Child, listener: Listener, launch: &'a Launch<'a>, folder: &Path) -> io::Result<Self> {
         let group = i32::try_from(child.id()).ok().and_then(Pid::from_raw);
         let group = group.ok_or_else(|| io::Error::other("the system gave no process number"))?;
         let now = Instant::now();
@@ -216,6 +250,7 @@ impl<'a> Watched<'a> {
             ended,
             listener,
             launch,
+            followed: Followed::new(group, folder),
             guarded: None,
             asked: None,
             over: None,
@@ -236,9 +271,11 @@ impl<'a> Watched<'a> {
             } else if let Some(guarded) = &self.guarded {
                 guarded.renew()?;
             }
+            self.followed.tidy();
         }
         // The child is dead but not yet reaped, so its number still names its group, and nobody else's.
         self.kill(Signal::KILL);
+        self.followed.end_all();
         while open && self.ready(Duration::ZERO, true)? {
             open = self.listener.read(self.child.stdout.as_mut(), hear)?;
         }
@@ -287,8 +324,19 @@ impl<'a> Watched<'a> {
         }
     }
 
-    /// How it ended without success; `otherwise` where no limit was the cause.
+    /// How it ended without success; `otherwise` where no limit was the cause. Where its log is not whole, that is said: it
+    /// may be just what one looks for.
     fn unsuccessful(&self, status: ExitStatus, otherwise: impl FnOnce() -> Exit) -> Exit {
+        match (self.cause(status, otherwise), self.listener.lost()) {
+            (Exit::Failed(text), Some(lost)) => Exit::Failed(format!(
+                "{text}; a part of its log is lost: `{}`: {lost}",
+                self.launch.log.display()
+            )),
+            (exit, _) => exit,
+        }
+    }
+
+    fn cause(&self, status: ExitStatus, otherwise: impl FnOnce() -> Exit) -> Exit {
         match self.over {
             Some(Over::Time) => Exit::TimedOut,
             Some(Over::Memory(bytes)) => Exit::OutOfMemory(too_much(bytes, self.launch)),
@@ -336,6 +384,9 @@ impl Drop for Watched<'_> {
     fn drop(&mut self) {
         if !self.reaped {
             self.kill(Signal::KILL);
+            // It has to be dead before its orphans can be known.
+            let _ = waitid(WaitId::Pid(self.group), WaitIdOptions::EXITED | WaitIdOptions::NOWAIT);
+            self.followed.end_all();
             self.guarded = None;
             let _ = self.child.wait();
         }

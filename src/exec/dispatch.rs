@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 
 use super::journal::Journal;
 use super::ready::{Elsewhere, Ready};
+use super::resources::Pool;
 use super::work::{News, Site, Task};
 use super::{Event, Executed, Kept, Outcome};
 use crate::fsx::Lock;
@@ -26,6 +27,8 @@ const COMMITS: usize = 32;
 
 /// How many of a failed stage's last lines are told.
 const TAIL: usize = 20;
+/// And how many characters of each.
+const TAIL_WIDTH: usize = 300;
 
 /// What the run is about.
 #[derive(Clone, Copy)]
@@ -76,6 +79,7 @@ pub(super) struct Dispatcher<'a, 's> {
     /// What was built here and is on its way to the disk: its lock is held until it is there.
     underway: HashMap<Key, Arc<Outputs>>,
     threads_used: usize,
+    pool: Pool,
     running: usize,
     /// When each running stage began, for what may slip in before one that has no room.
     pace: backfill::Pace,
@@ -113,6 +117,7 @@ impl<'a, 's> Dispatcher<'a, 's> {
             twins: HashMap::new(),
             underway: HashMap::new(),
             threads_used: 0,
+            pool: Pool::new(&site.options.resources),
             running: 0,
             pace: backfill::Pace::default(),
             committing: 0,
@@ -219,7 +224,9 @@ impl<'a, 's> Dispatcher<'a, 's> {
         while !self.stopping && self.halted.is_none() && self.committing < COMMITS {
             let Some(first) = self.ready.peek() else { break };
             let free = self.budget().saturating_sub(self.threads_used);
-            let stage = if self.running == 0 || self.threads(first) <= free {
+            let stage = if !self.pool.has(&self.shape.graph.stages[first].resources) {
+                self.pass_by(first, free)
+            } else if self.running == 0 || self.threads(first) <= free {
                 self.ready.pop()
             } else {
                 self.slip_in(first, free)
@@ -262,7 +269,8 @@ impl<'a, 's> Dispatcher<'a, 's> {
         self.threads_used += self.threads(stage);
         self.pace.began(stage, self.threads(stage), self.own_cost(stage));
         self.journal.tell(&Event::StageStarted { stage, key, why });
-        start(Task::new(stage, key, lock, run, self.shape, &self.done, self.site));
+        let units = self.pool.take(stage, &self.shape.graph.stages[stage].resources);
+        start(Task::new(stage, key, (lock, units), run, self.shape, &self.done, self.site));
         Ok(())
     }
 
@@ -297,6 +305,7 @@ impl<'a, 's> Dispatcher<'a, 's> {
                 self.running -= 1;
                 self.threads_used -= self.threads(stage);
                 self.pace.ended(stage);
+                self.pool.give_back(stage);
                 let key = self.keys[stage.index()];
                 let twins = key.and_then(|key| self.twins.remove(&key)).unwrap_or_default();
                 match (built, key) {

@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use serde::Serialize;
 use serde_json::{Value, json};
 
+use super::in_order::InOrder;
 use super::{Event, Options, Outcome};
 use crate::resolve::{Graph, StageIndex};
 use crate::store::{Fingerprint, Key, Run, Store, StoreError};
@@ -22,15 +23,26 @@ pub(super) struct Journal<'a, 's> {
     began: Instant,
     written: Instant,
     lines: Vec<u8>,
+    order: InOrder,
 }
 
 impl<'a, 's> Journal<'a, 's> {
     pub fn new(graph: &'a Graph, began: Instant, sink: &'s mut dyn FnMut(&Event)) -> Self {
-        Self { graph, sink, run: None, began, written: began, lines: Vec::new() }
+        Self { graph, sink, run: None, began, written: began, lines: Vec::new(), order: InOrder::default() }
     }
 
-    /// Tells an event. Before the run has a folder it is not written.
+    /// Tells an event when it is its turn. Before the run has a folder it is not written.
     pub fn tell(&mut self, event: &Event) {
+        // There are thousands of these at a time, and none of them waits.
+        if let Event::Cached { .. } = event {
+            return self.tell_now(event);
+        }
+        for event in self.order.next(self.graph, event) {
+            self.tell_now(&event);
+        }
+    }
+
+    fn tell_now(&mut self, event: &Event) {
         if self.run.is_some() {
             self.note(event);
         }
@@ -70,6 +82,9 @@ impl<'a, 's> Journal<'a, 's> {
 
     /// Tells the end and writes what is left to write.
     pub fn finish(mut self, outcome: &Outcome) -> Result<Option<Arc<Run>>, StoreError> {
+        for event in self.order.rest() {
+            self.tell_now(&event);
+        }
         self.tell(&Event::Finished { outcome: outcome.clone() });
         self.write(true)?;
         Ok(self.run)

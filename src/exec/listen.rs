@@ -14,11 +14,13 @@ pub(super) struct Listener<L = File> {
     log: L,
     line: Vec<u8>,
     failure: Option<String>,
+    /// Why the log is not whole.
+    lost: Option<io::Error>,
 }
 
 impl<L: Write> Listener<L> {
     pub fn new(log: L) -> Self {
-        Self { log, line: Vec::new(), failure: None }
+        Self { log, line: Vec::new(), failure: None, lost: None }
     }
 
     /// Takes what can be read in one go; false at the end.
@@ -40,6 +42,12 @@ impl<L: Write> Listener<L> {
     /// Takes the rest, which has no end of line.
     pub fn finish(&mut self, hear: &mut dyn FnMut(Message)) -> io::Result<()> {
         if self.line.is_empty() { Ok(()) } else { self.end_line(hear) }
+    }
+
+    /// Why a part of what the stage printed is not in its log: the disk is full, most likely. The stage goes on: what it
+    /// prints is not its result.
+    pub fn lost(&self) -> Option<&io::Error> {
+        self.lost.as_ref()
     }
 
     /// Why the stage says that it failed.
@@ -68,7 +76,9 @@ impl<L: Write> Listener<L> {
             Some(message) => hear(message),
             None => {
                 self.line.push(b'\n');
-                self.log.write_all(&self.line)?;
+                if let Err(error) = self.log.write_all(&self.line) {
+                    self.lost.get_or_insert(error);
+                }
             }
         }
         self.line.clear();
@@ -107,6 +117,26 @@ mod tests {
     fn the_last_word_of_a_stage_is_why_it_failed() {
         let line = Message::Failed { error: "no demonstrations".into() }.to_line();
         assert_eq!(listen(&[line.as_bytes()]).2.as_deref(), Some("no demonstrations"));
+    }
+
+    #[test]
+    fn a_log_that_cannot_be_written_is_told_and_ends_no_stage() {
+        struct Full;
+        impl Write for Full {
+            fn write(&mut self, _: &[u8]) -> io::Result<usize> {
+                Err(io::ErrorKind::StorageFull.into())
+            }
+            fn flush(&mut self) -> io::Result<()> {
+                Ok(())
+            }
+        }
+        let mut listener = Listener::new(Full);
+        let message = Message::Progress(dril_stage_api::Progress { step: 1, total: 2, ..Default::default() });
+        let mut heard = Vec::new();
+        let text = format!("lost\n{}\n", message.to_line());
+        listener.take(text.as_bytes(), &mut |message| heard.push(message)).unwrap();
+        assert_eq!(heard, [message]);
+        assert_eq!(listener.lost().unwrap().kind(), io::ErrorKind::StorageFull);
     }
 
     #[test]

@@ -1,45 +1,37 @@
-//! How much memory a process group keeps, and whether the system has killed for want of memory. From `/proc`: where that
+//! How much memory a stage keeps, and whether the system has killed for want of memory. From `/proc`: where that
 //! is not there, nothing is known, and no limit is enforced.
 
-use std::path::{Path, PathBuf};
+use std::collections::HashSet;
+use std::path::Path;
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 use rustix::process::Pid;
 
+use super::processes;
 use crate::fsx;
 
-/// Bytes of memory that the processes of a group keep; `None` where that cannot be known.
+/// Bytes of memory that the processes of a group keep, and all that descend from its first one; `None` where that cannot
+/// be known.
 pub(super) fn resident(group: Pid) -> Option<u64> {
-    let processes = fsx::list(Path::new("/proc")).ok()?;
-    let is_number = |path: &&PathBuf| {
-        path.file_name().is_some_and(|name| name.as_encoded_bytes().iter().all(u8::is_ascii_digit))
-    };
-    let mut bytes = None;
-    for process in processes.iter().filter(is_number) {
-        if group_of(process) == Some(group.as_raw_nonzero().get()) {
-            // One that has ended since it was listed keeps nothing.
-            *bytes.get_or_insert(0) += kept_by(process).unwrap_or_default();
+    let all = processes::all();
+    let group = group.as_raw_nonzero().get();
+    let mut counted: HashSet<i32> =
+        all.iter().filter(|one| one.group == group).map(|one| one.pid).chain([group]).collect();
+    // A child may be listed before its parent.
+    loop {
+        let before = counted.len();
+        counted.extend(
+            all.iter().filter(|one| counted.contains(&one.parent)).map(|one| one.pid).collect::<Vec<_>>(),
+        );
+        if counted.len() == before {
+            break;
         }
     }
-    bytes
-}
-
-/// The process group of a process, given by its folder in `/proc`.
-pub(super) fn group_of(process: &Path) -> Option<i32> {
-    field(process, 2)
-}
-
-/// The process that started it, or took it over when that one died.
-pub(super) fn parent_of(process: &Path) -> Option<i32> {
-    field(process, 1)
-}
-
-/// A number of `/proc/<process>/stat`, counted from the first field after the name, which ends at the last `)`.
-fn field(process: &Path, number: usize) -> Option<i32> {
-    let stat = fsx::read(&process.join("stat")).ok()?;
-    let stat = String::from_utf8_lossy(&stat);
-    stat.rsplit_once(')')?.1.split_whitespace().nth(number)?.parse().ok()
+    // One that has ended since it was listed keeps nothing.
+    all.iter().any(|one| one.pid == group || one.group == group).then(|| {
+        counted.iter().map(|pid| kept_by(&Path::new("/proc").join(pid.to_string())).unwrap_or_default()).sum()
+    })
 }
 
 /// `VmRSS` in `/proc/<process>/status`, in bytes.
@@ -78,7 +70,7 @@ mod tests {
 
     #[test]
     #[cfg(target_os = "linux")]
-    fn a_group_keeps_the_memory_of_its_processes() {
+    fn a_stage_keeps_the_memory_of_its_processes() {
         let bytes = resident(rustix::process::getpgrp()).unwrap();
         assert!((100_000..1 << 40).contains(&bytes), "{bytes}");
         assert!(resident(Pid::from_raw(i32::MAX).unwrap()).is_none());

@@ -4,13 +4,20 @@ mod check;
 mod child;
 mod dispatch;
 mod event;
+mod in_order;
 mod inline;
+mod inputs;
+mod job;
 mod journal;
 mod listen;
 mod memory;
+mod processes;
 mod ready;
+mod resources;
 mod runner;
 mod stage;
+mod survivors;
+mod unstarted;
 mod warden;
 mod work;
 mod workers;
@@ -25,8 +32,10 @@ pub use check::{Again, check};
 pub use child::ChildRunner;
 pub use event::{Cause, Event, Outcome};
 pub use inline::InlineRunner;
+pub use resources::{TooFew, Units};
 pub use runner::{Exit, Launch, Runner};
 pub use stage::{EXIT_STOPPED, run_stage};
+pub use survivors::claim_all_children;
 pub use warden::{WARDEN, watch_over};
 
 use crate::fsx::Lock;
@@ -50,6 +59,8 @@ pub struct Options {
     pub grace: Duration,
     /// When to stop, as if somebody had asked.
     pub deadline: Option<Instant>,
+    /// The units of counted resources; of one that is not among them there is one.
+    pub resources: Units,
     /// What the run's folder notes of where the plan comes from: fields for its manifest.
     pub about: serde_json::Map<String, serde_json::Value>,
 }
@@ -64,6 +75,7 @@ impl Default for Options {
             keep_going: true,
             grace: Duration::from_secs(20),
             deadline: None,
+            resources: Units::new(),
             about: serde_json::Map::new(),
         }
     }
@@ -113,6 +125,9 @@ pub enum ExecError {
         /// What is missing.
         message: String,
     },
+    /// A stage that would run asks for more of a resource than there is.
+    #[error(transparent)]
+    TooFew(#[from] TooFew),
 }
 
 /// Runs what the plan says, and all that turns out to be stale behind it. Stops cleanly soon after `stop` becomes true.
@@ -130,6 +145,7 @@ pub fn execute(
 ) -> Result<Executed, ExecError> {
     let began = Instant::now();
     check_workers(&plan, runner)?;
+    check_resources(&plan, &options.resources)?;
     let Plan { graph, steps, files, order, history, held, stats, forced, .. } = plan;
     // It saves time the next time; a store that cannot be written is told where it matters.
     let _ = store.keep_stats(&stats);
@@ -146,6 +162,28 @@ pub fn execute(
         result
     })?;
     Ok(dispatcher.finish()?)
+}
+
+/// Finds out before anything runs that a stage can never start.
+fn check_resources(plan: &Plan<'_>, units: &Units) -> Result<(), TooFew> {
+    for (stage, verdict) in &plan.steps {
+        let node = &plan.graph.stages[*stage];
+        if matches!(verdict, Verdict::Cached { .. }) {
+            continue;
+        }
+        for (name, wanted) in node.resources.iter() {
+            let there = resources::Pool::count(units, name);
+            if *wanted as usize > there {
+                return Err(TooFew {
+                    stage: node.id.to_string(),
+                    name: name.clone(),
+                    wanted: *wanted,
+                    there,
+                });
+            }
+        }
+    }
+    Ok(())
 }
 
 /// Finds out before anything runs, and not after hours, that an executable is missing.

@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use dril_stage_api::{Job, Kind, Message};
 
+use super::resources::Units;
 use crate::fsx::Lock;
 use crate::spec::Limits;
 
@@ -26,6 +27,8 @@ pub struct Launch<'a> {
     pub folder: &'a Path,
     /// Threads that it may keep busy.
     pub threads: usize,
+    /// What it holds of counted resources.
+    pub units: &'a Units,
     /// Raised when the stage shall stop: first asked to, then, after `grace`, killed.
     pub stop: &'a AtomicBool,
     /// See [`super::Options::grace`].

@@ -10,17 +10,18 @@ use std::sync::atomic::AtomicBool;
 
 use dril_stage_api::{Ctx, Job, Message, Registry, StageError};
 use rustix::process::{Signal, getpgrp, getpid, kill_current_process_group};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 use crate::fsx::{self, Lock};
 
 /// The exit code of a stage that was asked to stop and did (`EX_TEMPFAIL`: worth another try).
 pub const EXIT_STOPPED: u8 = 75;
 
-/// The child's side of [`super::ChildRunner`]: runs the job of a file. Stops at SIGTERM and SIGINT, dies with the engine.
+/// The child's side of [`super::ChildRunner`]: runs the job of a file. Stops at SIGTERM, SIGINT and SIGHUP, dies with the engine.
 pub fn run_stage(job_file: &Path, registry: &Registry) -> ExitCode {
     die_with_the_engine();
     let cancel = Arc::new(AtomicBool::new(false));
-    for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT] {
+    for signal in [SIGTERM, SIGINT, SIGHUP] {
         // Without the handler the signal kills the stage: it goes on from its last checkpoint instead of a fresh one.
         let _ = signal_hook::flag::register(signal, Arc::clone(&cancel));
     }

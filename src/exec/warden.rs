@@ -2,29 +2,41 @@
 //!
 //! A stage of our own watches its standard input, whose other end the engine holds; a foreign program does not, and a
 //! death signal of the kernel would take only the program and leave what it started. So an engine has one more process,
-//! `dril-pipe __warden`, which is told of every group that begins and ends, and kills those that are left once the engine
-//! is gone. It is told before a program is started, too, by the lock that the program gets as its standard input
-//! (`Lock::as_input`): where the engine was killed before it could tell the group, the process with that input is looked
-//! for. The same lock keeps everybody else from the work while any of these processes lives.
+//! `dril-pipe __warden`, which is told of the folder of every program before it is started, and of its group, and kills what
+//! is left once the engine is gone: the groups, and then whatever else has to do with one of the folders
+//! (`Process::belongs_to`). The lock that a program gets as its standard input (`Lock::as_input`) keeps everybody else from
+//! the work while any of these processes lives.
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
+use std::ffi::OsString;
 use std::io::{self, BufRead, Write};
+use std::os::unix::ffi::OsStringExt;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitCode, Stdio};
+use std::sync::atomic::{AtomicI32, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use rustix::process::{Pid, Signal, getppid, kill_process_group};
+use rustix::process::{Pid, PidfdFlags, Signal, getppid, kill_process_group, pidfd_open, pidfd_send_signal};
 
-use super::memory::{group_of, parent_of};
-use crate::fsx;
+use super::processes::{self, Process};
 
 /// The argument that makes this program a warden.
 pub const WARDEN: &str = "__warden";
 
 /// How long a program that was being started when the engine died is looked for.
 const SEARCH: Duration = Duration::from_secs(3);
+/// How long programs are hunted that go on starting others.
+const LONGEST: Duration = Duration::from_secs(60);
+
+/// The warden that was started last.
+static PID: AtomicI32 = AtomicI32::new(0);
+
+/// The process number of this process's warden.
+pub(super) fn pid() -> Option<i32> {
+    Some(PID.load(Ordering::Relaxed)).filter(|pid| *pid > 0)
+}
 
 /// The engine's side.
 #[derive(Debug)]
@@ -36,16 +48,16 @@ pub(super) struct Warden {
 #[derive(Debug, Default)]
 struct State {
     process: Option<Child>,
-    groups: BTreeSet<i32>,
-    expected: BTreeSet<PathBuf>,
+    /// The folders of the programs, with their groups once they have one.
+    guarded: BTreeMap<PathBuf, Option<i32>>,
 }
 
-/// A group that dies with the engine, until this is dropped. To be dropped while the group's number cannot be another's
-/// yet: before its first process is reaped.
+/// A program that dies with the engine, until this is dropped. To be dropped while the number of the program's group cannot
+/// be another's yet: before its first process is reaped.
 #[derive(Debug)]
 pub(super) struct Guarded<'a> {
     warden: &'a Warden,
-    group: i32,
+    folder: PathBuf,
 }
 
 impl Warden {
@@ -53,27 +65,15 @@ impl Warden {
         Self { program, state: Mutex::default() }
     }
 
-    /// A program is about to be started, with this file as its standard input.
-    pub fn expect(&self, input: &Path) -> io::Result<()> {
+    /// From now on what has to do with this folder dies with this process. The folder is a program's own, which is about to
+    /// be started, named without links in its path.
+    pub fn guard(&self, folder: &Path) -> io::Result<Guarded<'_>> {
+        let folder = folder.to_owned();
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
-        state.expected.insert(input.to_owned());
-        state.tell(&self.program, &expects(input))
-    }
-
-    /// What was expected has its group, or never began.
-    pub fn settle(&self, input: &Path) {
-        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
-        state.expected.remove(input);
-        let _ = state.write(&format!("!{}\n", named(input)));
-    }
-
-    /// From now on the group dies with this process.
-    pub fn guard(&self, group: Pid) -> io::Result<Guarded<'_>> {
-        let group = group.as_raw_nonzero().get();
-        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
-        state.groups.insert(group);
-        state.tell(&self.program, &format!("+{group}\n"))?;
-        Ok(Guarded { warden: self, group })
+        state.guarded.insert(folder.clone(), None);
+        let line = line('?', None, &folder);
+        state.tell(&self.program, &line)?;
+        Ok(Guarded { warden: self, folder })
     }
 }
 
@@ -83,10 +83,11 @@ impl State {
             let mut command = Command::new(program);
             // A group of its own: an interrupt at the terminal is not for it.
             command.arg(WARDEN).stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null());
-            let process = command.process_group(0).spawn();
-            self.process = Some(process.map_err(|error| {
+            let process = command.process_group(0).spawn().map_err(|error| {
                 io::Error::new(error.kind(), format!("cannot start `{}`: {error}", program.display()))
-            })?);
+            })?;
+            PID.store(i32::try_from(process.id()).unwrap_or(0), Ordering::Relaxed);
+            self.process = Some(process);
         }
         Ok(())
     }
@@ -103,8 +104,11 @@ impl State {
             let _ = dead.wait();
         }
         self.be_there(program)?;
-        let groups = self.groups.iter().map(|group| format!("+{group}\n"));
-        let all: String = groups.chain(self.expected.iter().map(|input| expects(input))).collect();
+        let all: String = self
+            .guarded
+            .iter()
+            .map(|(folder, group)| line(group.map_or('?', |_| '+'), *group, folder))
+            .collect();
         self.write(&all)
     }
 
@@ -117,6 +121,14 @@ impl State {
 }
 
 impl Guarded<'_> {
+    /// It was started, and has a group.
+    pub fn has_group(&self, group: Pid) -> io::Result<()> {
+        let group = group.as_raw_nonzero().get();
+        let mut state = self.warden.state.lock().unwrap_or_else(PoisonError::into_inner);
+        state.guarded.insert(self.folder.clone(), Some(group));
+        state.tell(&self.warden.program, &line('+', Some(group), &self.folder))
+    }
+
     /// Sees to it that there is a warden still; to be called now and then.
     pub fn renew(&self) -> io::Result<()> {
         let mut state = self.warden.state.lock().unwrap_or_else(PoisonError::into_inner);
@@ -130,9 +142,9 @@ impl Guarded<'_> {
 impl Drop for Guarded<'_> {
     fn drop(&mut self) {
         let mut state = self.warden.state.lock().unwrap_or_else(PoisonError::into_inner);
-        state.groups.remove(&self.group);
-        // One that cannot be told is dead, and its successor is not told of this group.
-        let _ = state.write(&format!("-{}\n", self.group));
+        state.guarded.remove(&self.folder);
+        // One that cannot be told is dead, and its successor is not told of this program.
+        let _ = state.write(&line('-', None, &self.folder));
     }
 }
 
@@ -146,73 +158,96 @@ impl Drop for Warden {
     }
 }
 
-/// A path in one line, whatever is in it.
-fn named(input: &Path) -> String {
-    input.as_os_str().as_encoded_bytes().iter().map(|byte| format!("{byte:02x}")).collect()
+/// `?<folder>` before a program is started, `+<group> <folder>` once it was, `-<folder>` when it has ended; the folder in
+/// hexadecimal digits, so that it is one line whatever is in it.
+fn line(word: char, group: Option<i32>, folder: &Path) -> String {
+    let group = group.map(|group| format!("{group} ")).unwrap_or_default();
+    let bytes = folder.as_os_str().as_encoded_bytes();
+    let folder: String = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
+    format!("{word}{group}{folder}\n")
 }
 
-fn expects(input: &Path) -> String {
-    format!("?{}\n", named(input))
+fn folder_of(text: &str) -> Option<PathBuf> {
+    let digits = text.as_bytes().chunks(2);
+    let bytes: Option<Vec<u8>> =
+        digits.map(|pair| u8::from_str_radix(std::str::from_utf8(pair).ok()?, 16).ok()).collect();
+    Some(OsString::from_vec(bytes?).into()).filter(|folder: &PathBuf| folder.is_absolute())
 }
 
 /// The warden's side: listens until the engine is gone, then kills what is left.
 pub fn watch_over() -> ExitCode {
-    let mut groups = BTreeSet::new();
-    let mut expected = BTreeSet::new();
+    let mut guarded: BTreeMap<PathBuf, Option<i32>> = BTreeMap::new();
     for line in io::stdin().lock().lines() {
         let Ok(line) = line else { break };
         let Some((word, rest)) = line.split_at_checked(1) else { continue };
-        match (word, rest.parse::<i32>()) {
-            ("+", Ok(group)) => drop(groups.insert(group)),
-            ("-", Ok(group)) => drop(groups.remove(&group)),
-            ("?", _) => drop(expected.insert(rest.to_owned())),
-            ("!", _) => drop(expected.remove(rest)),
+        let (group, folder) = rest.split_once(' ').unwrap_or(("", rest));
+        let Some(folder) = folder_of(folder) else { continue };
+        match word {
+            "?" | "+" => drop(guarded.insert(folder, group.parse().ok())),
+            "-" => drop(guarded.remove(&folder)),
             _ => {}
         }
     }
-    groups.into_iter().for_each(kill);
+    guarded.values().flatten().for_each(|group| kill_group(*group));
     let began = Instant::now();
-    while !expected.is_empty() && began.elapsed() < SEARCH {
-        for (input, process) in inputs() {
-            // Whoever took the warden over has taken our program over too; that of the next engine has its engine.
-            let ours = parent_of(&process) == getppid().map(|parent| parent.as_raw_nonzero().get());
-            if ours && expected.remove(&named(&input)) {
-                group_of(&process).into_iter().for_each(kill);
-            }
+    let being_started = guarded.values().any(Option::is_none);
+    // What is killed leaves children of its own for the next round; a busy machine may take long for a round.
+    let mut rounds_without = 0;
+    while !guarded.is_empty() && began.elapsed() < LONGEST {
+        // Whoever was given this process was given those of the engine, too.
+        let parent = getppid().map_or(1, |parent| parent.as_raw_nonzero().get());
+        let found = hunt(guarded.keys().map(PathBuf::as_path), parent);
+        rounds_without = if found { 0 } else { rounds_without + 1 };
+        if rounds_without >= 2 && (!being_started || began.elapsed() > SEARCH) {
+            break;
         }
         std::thread::sleep(Duration::from_millis(20));
     }
     ExitCode::SUCCESS
 }
 
-fn kill(group: i32) {
+/// Kills every child of `parent` that has to do with one of the folders; true where there was one.
+fn hunt<'f>(folders: impl Iterator<Item = &'f Path> + Clone, parent: i32) -> bool {
+    let own = rustix::process::getpid().as_raw_nonzero().get();
+    let mut found = false;
+    let is_one = |process: &Process| process.parent == parent && process.pid != own && !process.is_zombie;
+    for process in processes::all().into_iter().filter(is_one) {
+        // Once it is held by a descriptor, its number cannot become another's.
+        let Some(held) = Pid::from_raw(process.pid).and_then(|pid| pidfd_open(pid, PidfdFlags::empty()).ok())
+        else {
+            continue;
+        };
+        if folders.clone().any(|folder| process.belongs_to(folder)) {
+            found |= pidfd_send_signal(&held, Signal::KILL).is_ok();
+        }
+    }
+    found
+}
+
+fn kill_group(group: i32) {
     if let Some(group) = Pid::from_raw(group).filter(|_| group > 1) {
         let _ = kill_process_group(group, Signal::KILL);
     }
 }
 
-/// The standard input of every process that can be looked at, with the process's folder in `/proc`.
-fn inputs() -> Vec<(PathBuf, PathBuf)> {
-    let processes = fsx::list(Path::new("/proc")).unwrap_or_default().into_iter();
-    processes.filter_map(|process| Some((fsx::link_target(&process.join("fd/0"))?, process))).collect()
-}
-
-#[cfg(all(test, target_os = "linux"))]
+#[cfg(test)]
+#[cfg(target_os = "linux")]
 mod tests {
     use super::*;
-    use crate::fsx::Lock;
 
     #[test]
-    fn a_process_is_found_by_the_lock_that_is_its_input() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().canonicalize().unwrap().join("lock\nname");
-        let lock = Lock::try_acquire(&path).unwrap().unwrap();
-        let mut sleep = Command::new("sleep");
-        let mut child = sleep.arg("60").stdin(lock.as_input().unwrap()).process_group(0).spawn().unwrap();
-        drop(lock.as_input());
-        let own = |process: &Path| group_of(process) == i32::try_from(child.id()).ok();
-        let found = inputs().into_iter().find(|(input, process)| *input == path && own(process));
-        kill(group_of(&found.unwrap().1).unwrap());
+    fn a_process_is_hunted_down_by_the_folder_that_it_works_in() {
+        let place = tempfile::tempdir().unwrap();
+        let folder = place.path().canonicalize().unwrap().join("a\nname");
+        std::fs::create_dir(&folder).unwrap();
+        let mut child = Command::new("sleep").arg("60").env_clear().current_dir(&folder).spawn().unwrap();
+        let told = line('+', Some(7), &folder);
+        let told = told.trim_end().split_once(' ').unwrap().1;
+        assert_eq!(folder_of(told), Some(folder.clone()));
+        let own = i32::try_from(std::process::id()).unwrap();
+        assert!(!hunt(std::iter::once(Path::new("/else/where")), own));
+        assert!(!hunt(std::iter::once(folder.as_path()), 1));
+        assert!(hunt(std::iter::once(folder.as_path()), own));
         assert!(!child.wait().unwrap().success());
     }
 }

@@ -1,6 +1,5 @@
 //! One stage from its job to its record: what a worker thread does while the dispatcher goes on.
 
-use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -8,19 +7,20 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::SyncSender;
 use std::time::{Duration, Instant};
 
-use dril_stage_api::{Artifact, Job, JobInput, JobOutput, Kind, Message, Output, Ports, Seed};
+use dril_stage_api::{Artifact, Job, Kind, Message, Output, Ports};
 
 use super::check::Again;
 use super::dispatch::{Shape, log_stem};
+use super::inputs::{self, Placed};
+use super::job::{job, output_path, outside, record};
+use super::resources::{Pool, Units};
 use super::runner::{Exit, Launch, Runner};
 use super::{Cause, Options};
 use crate::fsx::{self, Entry, FsError, Lock};
-use crate::plan::{self, OutsideFile};
-use crate::resolve::{self, Source, StageIndex, StageInstance};
+use crate::plan::OutsideFile;
+use crate::resolve::StageIndex;
 use crate::spec::Limits;
-use crate::store::{
-    self, Blob, Digest, Fingerprint, Key, Outputs, RECORD_VERSION, Record, Run, Store, StoreError, Stored,
-};
+use crate::store::{self, Blob, Key, Outputs, Record, Run, Store, StoreError, Stored};
 
 /// How soon a wish to stop is noticed between two tries.
 const GLANCE: Duration = Duration::from_millis(50);
@@ -40,6 +40,8 @@ pub(super) struct Task<'a> {
     pub stage: StageIndex,
     pub key: Key,
     pub lock: Lock,
+    /// What it holds of counted resources.
+    pub units: Units,
     pub run: Arc<Run>,
     pub job: Job,
     pub ports: &'a Ports,
@@ -48,8 +50,8 @@ pub(super) struct Task<'a> {
     pub limits: Limits,
     /// Files from outside that it reads.
     pub files: Vec<&'a OutsideFile>,
-    /// Folders that it reads, and where it expects them.
-    pub folders: Vec<(Digest, PathBuf)>,
+    /// What it reads in its private folder.
+    pub placed: Vec<Placed>,
     /// All but what is known only afterwards.
     pub record: Record,
     /// A folder that is not there yet.
@@ -80,20 +82,24 @@ pub(super) enum Failure {
 }
 
 impl Failure {
-    fn by_itself(error: impl ToString) -> Self {
+    pub(super) fn by_itself(error: impl ToString) -> Self {
         Self::Failed(error.to_string(), Cause::Failed)
+    }
+
+    pub(super) fn of_store(error: impl ToString) -> Self {
+        Self::Failed(error.to_string(), Cause::Store)
     }
 }
 
 impl From<StoreError> for Failure {
     fn from(error: StoreError) -> Self {
-        Self::Failed(error.to_string(), Cause::Store)
+        Self::of_store(error)
     }
 }
 
 impl From<FsError> for Failure {
     fn from(error: FsError) -> Self {
-        Self::Failed(error.to_string(), Cause::Store)
+        Self::of_store(error)
     }
 }
 
@@ -102,7 +108,7 @@ impl<'a> Task<'a> {
     pub fn new(
         stage: StageIndex,
         key: Key,
-        lock: Lock,
+        (lock, units): (Lock, Units),
         run: Arc<Run>,
         shape: Shape<'a>,
         done: &[Option<Arc<Outputs>>],
@@ -110,11 +116,11 @@ impl<'a> Task<'a> {
     ) -> Self {
         let node = &shape.graph.stages[stage];
         let folder = run.temporary().join(key.hex());
-        let (job, folders) = job(node, &key, &folder, done, shape, site);
+        let (job, placed) = job(node, &key, &folder, done, shape, site);
         Self {
             log: run.log(&log_stem(shape.graph, stage, Some(&key))),
             job,
-            folders,
+            placed,
             record: record(node, done, shape),
             ports: &node.ports,
             kind: node.kind,
@@ -124,6 +130,7 @@ impl<'a> Task<'a> {
             stage,
             key,
             lock,
+            units,
             run,
             folder,
         }
@@ -200,9 +207,7 @@ impl<'a> Task<'a> {
             self.pass_on();
             return Ok((Vec::new(), Duration::ZERO));
         }
-        for (digest, path) in &self.folders {
-            site.store.lay_out(digest, path)?;
-        }
+        let laid = inputs::lay_out(&self.placed, site.store)?;
         let launch = Launch {
             job: &self.job,
             kind: self.kind,
@@ -210,6 +215,7 @@ impl<'a> Task<'a> {
             log: &self.log,
             folder: &self.folder,
             threads: self.threads,
+            units: &self.units,
             stop: site.halt,
             grace: site.options.grace,
             limits: self.limits,
@@ -220,10 +226,26 @@ impl<'a> Task<'a> {
             Message::MadeWith(said) => with.extend(said),
             other => hear(other),
         };
-        ended(site.runner.run(&launch, &mut hear), &self.limits)?;
+        ended(site.runner.run(&launch, &mut hear), &self.limits)
+            .map_err(|failure| self.in_words_of_the_file(failure))?;
         let took = began.elapsed();
+        laid.check()?;
         self.record.seconds = took.as_secs_f64();
         Ok((self.take_outputs(site.store)?, took))
+    }
+
+    /// An error with its inputs named as the pipeline file does: a stage knows only where their contents lie.
+    fn in_words_of_the_file(&self, failure: Failure) -> Failure {
+        let Failure::Failed(mut error, cause) = failure else { return failure };
+        for (port, items) in &self.job.inputs {
+            let origins = self.record.inputs.iter().find(|input| input.port == *port);
+            for (item, origin) in items.iter().zip(origins.iter().flat_map(|input| &input.items)) {
+                if let Some(path) = item.path.to_str().filter(|path| error.contains(*path)) {
+                    error = error.replace(path, &format!("{} (input `{port}`, {path})", origin.from));
+                }
+            }
+        }
+        Failure::Failed(error, cause)
     }
 
     /// What was brought in from outside is the output, as it is.
@@ -234,6 +256,7 @@ impl<'a> Task<'a> {
                 bytes: file.bytes,
                 extension: output.extension.to_owned(),
                 folder: file.folder.is_some(),
+                executable: file.executable,
             };
             self.record.outputs.insert(output.name.to_owned(), stored);
         }
@@ -253,10 +276,11 @@ impl<'a> Task<'a> {
         let _held = store.hold()?;
         for (output, path) in self.ports.outputs.iter().zip(paths) {
             let folder = output.artifact == Artifact::Folder;
+            let executable = !folder && fsx::is_executable(&path)?;
             let blob = if folder { store.take_folder(&path)? } else { store.take(&path)? };
             self.run.rely_on([], blob.contents())?;
             let (digest, bytes, extension) = (blob.digest, blob.bytes, output.extension.to_owned());
-            let stored = Stored { digest, bytes, extension, folder };
+            let stored = Stored { digest, bytes, extension, folder, executable };
             self.record.outputs.insert(output.name.to_owned(), stored);
             blobs.push(blob);
         }
@@ -315,11 +339,10 @@ fn run_again(
         bring_in(file, site.store, run)?;
     }
     fsx::create_dir(folder)?;
-    let (mut job, folders) = job(node, key, folder, done, shape, site);
-    for (digest, path) in &folders {
-        site.store.lay_out(digest, path)?;
-    }
+    let (mut job, placed) = job(node, key, folder, done, shape, site);
+    inputs::lay_out(&placed, site.store)?;
     let lock = Lock::acquire(&folder.join("lock"))?;
+    let units = Pool::new(&site.options.resources).take(stage, &node.resources);
     // A place of its own: what the first run left must not help the second.
     job.checkpoints = folder.join("again").join("files");
     let launch = Launch {
@@ -329,6 +352,7 @@ fn run_again(
         log,
         folder,
         threads: node.needs.threads.max(1),
+        units: &units,
         stop: site.halt,
         grace: site.options.grace,
         limits: node.limits,
@@ -376,93 +400,6 @@ fn ended(exit: std::io::Result<Exit>, limits: &Limits) -> Result<(), Failure> {
         }
         Err(error) => Err(Failure::by_itself(error)),
     }
-}
-
-/// The files from outside that a stage reads.
-fn outside<'a>(node: &'a StageInstance, shape: Shape<'a>) -> impl Iterator<Item = &'a OutsideFile> {
-    node.inputs.iter().flat_map(|wire| &wire.sources).filter_map(move |source| match &source.from {
-        resolve::From::File { path, .. } => shape.files.get(path),
-        resolve::From::Stage { .. } => None,
-    })
-}
-
-fn job(
-    node: &StageInstance,
-    key: &Key,
-    folder: &Path,
-    done: &[Option<Arc<Outputs>>],
-    shape: Shape<'_>,
-    site: Site<'_>,
-) -> (Job, Vec<(Digest, PathBuf)>) {
-    let mut folders = Vec::new();
-    let mut input = |port: &str, number: usize, source: &Source| {
-        let digest = plan::digest_of(source, done, shape.files)?;
-        let mut path = site.store.blob_path(&digest);
-        if is_folder(source, shape) {
-            path = folder.join("inputs").join(format!("{port}-{number}"));
-            folders.push((digest, path.clone()));
-        }
-        Some(JobInput { path, labels: source.labels.clone() })
-    };
-    let mut inputs = BTreeMap::new();
-    for wire in &node.inputs {
-        let items = wire.sources.iter().enumerate();
-        let items = items.filter_map(|(number, source)| input(wire.port, number, source)).collect();
-        inputs.insert(wire.port.to_owned(), items);
-    }
-    let outputs = node.ports.outputs.iter().map(|output| {
-        (output.name.to_owned(), JobOutput { path: output_path(folder, output.name, output.extension) })
-    });
-    let job = Job {
-        stage: node.id.as_ref().to_owned(),
-        kind: node.kind.name().to_owned(),
-        revision: node.kind.revision(),
-        params: node.params.clone(),
-        // A kind without randomness draws from no stream; the number only fills the field.
-        seed: node.seed.unwrap_or(Seed(0)),
-        inputs,
-        outputs: outputs.collect(),
-        scratch: folder.join("work"),
-        checkpoints: site.store.checkpoints(key).join("files"),
-        checkpoint_seconds: site.options.checkpoint_seconds,
-        curves: site
-            .options
-            .curves
-            .as_ref()
-            .map(|folder| folder.join(format!("{}-{}", node.file_stem(), key.short()))),
-    };
-    (job, folders)
-}
-
-fn is_folder(source: &Source, shape: Shape<'_>) -> bool {
-    match &source.from {
-        resolve::From::File { folder, .. } => *folder,
-        resolve::From::Stage { stage, output } => {
-            let output = shape.graph.stages[*stage].ports.find_output(output);
-            output.is_some_and(|output| output.artifact == Artifact::Folder)
-        }
-    }
-}
-
-fn record(node: &StageInstance, done: &[Option<Arc<Outputs>>], shape: Shape<'_>) -> Record {
-    Record {
-        version: RECORD_VERSION,
-        stage: node.id.as_ref().to_owned(),
-        kind: node.kind.name().to_owned(),
-        revision: node.kind.revision(),
-        params: node.params.clone(),
-        seed: node.seed.map(|seed| seed.0),
-        inputs: plan::record_inputs(shape.graph, node, done, shape.files),
-        outputs: Outputs::new(),
-        seconds: 0.0,
-        fingerprint: Fingerprint::current(),
-    }
-}
-
-/// Where a stage writes an output.
-fn output_path(folder: &Path, name: &str, extension: &str) -> PathBuf {
-    let ending = if extension.is_empty() { "" } else { "." };
-    folder.join(format!("output-{name}{ending}{extension}"))
 }
 
 fn check_output(output: &Output, path: &Path) -> Result<(), Failure> {

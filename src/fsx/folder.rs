@@ -29,7 +29,7 @@ pub struct Stat {
 }
 
 impl Stat {
-    fn of(meta: &Metadata) -> Self {
+    pub(super) fn of(meta: &Metadata) -> Self {
         let nanoseconds =
             |seconds: i64, rest: i64| seconds.saturating_mul(1_000_000_000).saturating_add(rest);
         Self {
@@ -76,9 +76,12 @@ pub enum Outside {
 /// # Errors
 /// It is not there, or neither a file nor a folder.
 pub fn outside(path: &Path) -> Result<Outside> {
-    let meta = std::fs::metadata(path).map_err(FsError::at("read", path))?;
+    sort(path, &std::fs::metadata(path).map_err(FsError::at("read", path))?)
+}
+
+fn sort(path: &Path, meta: &Metadata) -> Result<Outside> {
     if meta.is_file() {
-        Ok(Outside::File(Stat::of(&meta)))
+        Ok(Outside::File(Stat::of(meta)))
     } else if meta.is_dir() {
         Ok(Outside::Folder)
     } else {
@@ -91,24 +94,38 @@ pub fn outside(path: &Path) -> Result<Outside> {
 pub struct Inside {
     /// Its path, relative to the folder.
     pub path: PathBuf,
-    /// A file; `None` for a folder in which there is nothing.
-    pub file: Option<Stat>,
+    /// What is there.
+    pub what: What,
 }
 
-/// What to do with a symbolic link.
+/// What there can be in a folder.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum What {
+    /// A file, or a link to one outside the folder.
+    File(Stat),
+    /// A folder in which there is nothing.
+    Empty,
+    /// A symbolic link to something in the same folder: where it leads, relative to the folder that the link lies in, as
+    /// any number of `..`, then names.
+    Link(PathBuf),
+}
+
+/// What to do with a symbolic link to a file in the same folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Links {
-    /// Its file is taken for it. A link to a folder is refused all the same: it may lead in a circle.
+    /// Its file is taken for it.
     Follow,
-    /// It is refused.
-    Refuse,
+    /// It is kept as a link.
+    Keep,
 }
 
-/// All files and empty folders below `root`, in no order that means anything.
+/// All files, empty folders and links below `root` but for what is `left_out` (asked with the path in `root`; what is in a
+/// folder that is left out is left out too), in no order that means anything. A link to a folder inside `root` is
+/// kept, one to a file outside is taken for its file.
 ///
 /// # Errors
-/// Something cannot be read, or is neither file nor folder.
-pub fn walk(root: &Path, links: Links) -> Result<Vec<Inside>> {
+/// Something cannot be read, or is neither file nor folder; a link leads nowhere, in a circle, or to a folder outside.
+pub fn walk(root: &Path, links: Links, left_out: &dyn Fn(&Path) -> bool) -> Result<Vec<Inside>> {
     let mut found = Vec::new();
     let mut open = vec![(PathBuf::new(), 0)];
     while let Some((folder, depth)) = open.pop() {
@@ -119,34 +136,126 @@ pub fn walk(root: &Path, links: Links) -> Result<Vec<Inside>> {
         let mut empty = true;
         for entry in std::fs::read_dir(&path).map_err(FsError::at("list", &path))? {
             let entry = entry.map_err(FsError::at("list", &path))?;
-            empty = false;
             let (inside, path) = (folder.join(entry.file_name()), entry.path());
+            if left_out(&inside) {
+                continue;
+            }
+            empty = false;
             let kind = entry.file_type().map_err(FsError::at("look at", &path))?;
             if kind.is_dir() {
                 open.push((inside, depth + 1));
                 continue;
             }
-            if kind.is_symlink() && links == Links::Refuse {
-                return Err(refuse(
-                    &path,
-                    "it is a symbolic link, expected files and folders: copy what it leads to",
-                ));
-            }
-            match outside(&path)? {
-                Outside::File(stat) => found.push(Inside { path: inside, file: Some(stat) }),
-                Outside::Folder => {
-                    return Err(refuse(
-                        &path,
-                        "it is a link to a folder, which is not followed: name that folder",
-                    ));
-                }
-            }
+            let what = if kind.is_symlink() { link(root, &inside, links)? } else { what(&path)? };
+            found.push(Inside { path: inside, what });
         }
         if empty && depth > 0 {
-            found.push(Inside { path: folder, file: None });
+            found.push(Inside { path: folder, what: What::Empty });
         }
     }
     Ok(found)
+}
+
+fn what(path: &Path) -> Result<What> {
+    match outside(path)? {
+        Outside::File(stat) => Ok(What::File(stat)),
+        Outside::Folder => Err(refuse(path, "it is a folder now, and was none when it was listed")),
+    }
+}
+
+/// What is at `inside`, a symbolic link in `root`.
+fn link(root: &Path, inside: &Path, links: Links) -> Result<What> {
+    let path = root.join(inside);
+    let target = std::fs::read_link(&path).map_err(FsError::at("read", &path))?;
+    let leads_to = format!("it is a link to `{}`", target.display());
+    let refuse = |why: &str| FsError::at("read", &path)(io::Error::other(format!("{leads_to}, {why}")));
+    let end = path.canonicalize().map_err(|error| match error.raw_os_error() {
+        Some(libc::ELOOP) => refuse("and leads in a circle"),
+        _ if error.kind() == io::ErrorKind::NotFound => refuse("which is not there: the link is broken"),
+        _ => FsError::at("read", &path)(error),
+    })?;
+    let real_root = root.canonicalize().map_err(FsError::at("look at", root))?;
+    let within = end.strip_prefix(&real_root).ok();
+    match (outside(&path)?, within) {
+        (Outside::File(stat), _) if links == Links::Follow => Ok(What::File(stat)),
+        (Outside::File(stat), None) => Ok(What::File(stat)),
+        (Outside::Folder, None) => {
+            Err(refuse("a folder outside of the one that it is in, which is not followed: copy that folder"))
+        }
+        (_, Some(end)) => {
+            let above = inside.parent().unwrap_or(Path::new(""));
+            // As it was written, where that is plain.
+            let written = if is_plain_target(above, &target) { target } else { relative(above, end) };
+            Ok(What::Link(written))
+        }
+    }
+}
+
+/// Makes the links in a folder independent of where the folder lies: those that lead inside it lead there by the shortest
+/// way, those that lead to a file outside become copies of it.
+///
+/// # Errors
+/// As [`walk`]; or the folder cannot be written.
+pub fn settle_links(root: &Path) -> Result<()> {
+    let mut open = vec![PathBuf::new()];
+    // All are looked at before one is changed: they may lead to each other.
+    let mut found = Vec::new();
+    while let Some(folder) = open.pop() {
+        let path = root.join(&folder);
+        for entry in std::fs::read_dir(&path).map_err(FsError::at("list", &path))? {
+            let entry = entry.map_err(FsError::at("list", &path))?;
+            let kind = entry.file_type().map_err(FsError::at("look at", &entry.path()))?;
+            let inside = folder.join(entry.file_name());
+            if kind.is_symlink() {
+                found.push((link(root, &inside, Links::Keep)?, inside));
+            } else if kind.is_dir() && folder.components().count() < DEEPEST {
+                open.push(inside);
+            }
+        }
+    }
+    for (what, inside) in found {
+        let path = root.join(inside);
+        match what {
+            What::Link(to) if std::fs::read_link(&path).ok().as_ref() != Some(&to) => {
+                super::remove_file(&path)?;
+                super::symlink(&to, &path)?;
+            }
+            What::File(_) => super::be_a_file(&path)?,
+            What::Link(_) | What::Empty => {}
+        }
+    }
+    Ok(())
+}
+
+/// True for where a link in the folder `above` may lead, both in one folder: as any number of `..` that do not lead out of
+/// it, then names. A `..` behind a name is none of these: where it leads depends on what the name is.
+pub fn is_plain_target(above: &Path, target: &Path) -> bool {
+    let depth = above.components().count();
+    let mut parts = target.as_os_str().as_encoded_bytes().split(|byte| *byte == b'/').peekable();
+    let mut up = 0;
+    while parts.next_if(|part| *part == b"..").is_some() {
+        up += 1;
+    }
+    let rest: Vec<&[u8]> = parts.collect();
+    up <= depth
+        && (up > 0 || !rest.is_empty())
+        && rest.iter().all(|part| !matches!(*part, b"" | b"." | b".."))
+}
+
+/// The way from the folder `from` to `to`, both in one folder, or both absolute.
+pub fn relative(from: &Path, to: &Path) -> PathBuf {
+    let shared = from.components().zip(to.components()).take_while(|(a, b)| a == b).count();
+    let up = from.components().skip(shared).map(|_| "..");
+    let way: PathBuf = up
+        .map(std::ffi::OsStr::new)
+        .chain(to.components().skip(shared).map(|part| part.as_os_str()))
+        .collect();
+    match (way.as_os_str().is_empty(), from.file_name()) {
+        (false, _) => way,
+        // The folder that the link lies in: named, since `.` is no name.
+        (true, Some(name)) => Path::new("..").join(name),
+        (true, None) => way,
+    }
 }
 
 fn refuse(path: &Path, why: &'static str) -> FsError {
@@ -170,4 +279,9 @@ pub fn put(from: &Path, to: &Path, executable: bool) -> Result<()> {
     let mode = if executable { 0o555 } else { 0o444 };
     let rights = std::fs::Permissions::from_mode(mode);
     std::fs::set_permissions(to, rights).map_err(FsError::at("make read-only", to))
+}
+
+/// For [`walk`]: everything counts.
+pub fn nothing(_: &Path) -> bool {
+    false
 }

@@ -25,9 +25,45 @@ pub struct ImportParams {
     /// The content that it must have: the 64 digits that `b3sum` prints; for a folder those that the error names.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     blake3: Option<String>,
+    /// What of a folder is left out: globs, each of a name at any depth (`*.log`), or, with a `/` in it, of a path in the
+    /// folder (`/data/raw`, `notes/**`). Without it, what programs and editors leave behind: `__pycache__`, `*.pyc`, `.git`,
+    /// `*~`, `.*.swp` and the like (see the manual). A list takes the place of those; `[]` leaves nothing out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    exclude: Option<Vec<String>>,
 }
 
+/// What is left out of a folder without `exclude`: nobody means it, and it changes when the code is merely run or looked at.
+const LEFT_OUT: [&str; 19] = [
+    "__pycache__",
+    "*.py[co]",
+    ".ipynb_checkpoints",
+    ".mypy_cache",
+    ".pytest_cache",
+    ".ruff_cache",
+    ".git",
+    ".hg",
+    ".svn",
+    ".idea",
+    ".vscode",
+    "*~",
+    ".*.sw[a-p]",
+    ".sw[a-p]",
+    ".#*",
+    "#*#",
+    ".DS_Store",
+    "Thumbs.db",
+    ".nfs*",
+];
+
 impl ImportParams {
+    fn left_out(&self) -> Vec<String> {
+        match (&self.exclude, self.artifact()) {
+            (Some(globs), Artifact::Folder) => globs.clone(),
+            (None, Artifact::Folder) => LEFT_OUT.map(str::to_owned).into(),
+            _ => Vec::new(),
+        }
+    }
+
     fn artifact(&self) -> Artifact {
         let plain = if self.path.ends_with('/') { Artifact::Folder } else { Artifact::File };
         self.artifact.unwrap_or(plain)
@@ -81,6 +117,12 @@ impl Describe for Import {
             }
             _ => {}
         }
+        for (at, glob) in params.exclude.iter().flatten().enumerate() {
+            if let Err(error) = globset::Glob::new(glob) {
+                let message = format!("`{}` is no glob: {}", glob.escape_debug(), error.kind());
+                problems.add(&format!("exclude.{at}"), message);
+            }
+        }
         if let Some(digest) = &params.blake3 {
             let is_hex = |c: char| c.is_ascii_digit() || ('a'..='f').contains(&c);
             if digest.len() != 64 || !digest.chars().all(is_hex) {
@@ -103,6 +145,7 @@ impl Describe for Import {
             param: "path",
             path: bare(&params.path).to_owned(),
             blake3: params.blake3.clone(),
+            exclude: params.left_out(),
         });
         ports
     }

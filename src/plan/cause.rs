@@ -1,13 +1,23 @@
 //! Why a stage is what it is, back to the first cause: what differs in the stage itself, and for every input that
 //! differs, the same of the stage that makes it.
 
-use std::collections::{BTreeMap, HashSet};
+use std::collections::hash_map::Entry;
+use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::Arc;
 
 use super::explain::differences;
 use super::{OutsideFile, Plan, Reason, Verdict, lookup, order};
 use crate::resolve::{From, Graph, StageIndex};
 use crate::store::{Digest, Key, Outputs, Record, Store, StoreError};
+
+/// Why stages are stale, or what made them run the last time, with all that is behind them: each stage once.
+#[derive(Clone, Debug, Default)]
+pub struct Explanations {
+    /// First those that were asked for, in that order; then those behind them.
+    pub all: Vec<Explanation>,
+    /// How many were asked for.
+    pub asked: usize,
+}
 
 /// Why a stage is stale, or what made it run the last time.
 #[derive(Clone, Debug)]
@@ -22,24 +32,22 @@ pub struct Explanation {
     pub reasons: Vec<Reason>,
     /// The stages whose outputs differ, or are not known yet.
     pub causes: Vec<Cause>,
-    /// True where it stands with its causes elsewhere in the same tree.
-    pub repeated: bool,
 }
 
-/// A stage that feeds another, and why its output differs.
+/// A stage that feeds another, and whose output differs.
 #[derive(Clone, Debug)]
 pub struct Cause {
     /// The input that it feeds.
     pub port: String,
-    /// Why.
-    pub explanation: Explanation,
+    /// Where in [`Explanations::all`] it says why.
+    pub at: usize,
 }
 
-/// Explains a stage of a plan, with all that is behind it, each stage once.
+/// Explains these stages of a plan. Takes time and room for each stage and each wire once, however deep the graph is.
 ///
 /// # Errors
 /// The store cannot be read.
-pub fn explain(plan: &Plan<'_>, store: &Store, stage: StageIndex) -> Result<Explanation, StoreError> {
+pub fn explain(plan: &Plan<'_>, store: &Store, stages: &[StageIndex]) -> Result<Explanations, StoreError> {
     let count = plan.graph.stages.node_count();
     let mut verdicts: Vec<Option<&Verdict>> = vec![None; count];
     let mut done: Vec<Option<Arc<Outputs>>> = vec![None; count];
@@ -56,10 +64,21 @@ pub fn explain(plan: &Plan<'_>, store: &Store, stage: StageIndex) -> Result<Expl
         store,
         verdicts,
         done,
-        told: HashSet::new(),
+        places: HashMap::new(),
+        open: VecDeque::new(),
     };
-    let against = explainer.before(stage)?;
-    explainer.explain(stage, against)
+    for &stage in stages {
+        if !explainer.places.contains_key(&stage) {
+            let against = explainer.before(stage)?;
+            explainer.place(stage, against);
+        }
+    }
+    let asked = explainer.places.len();
+    let mut all = Vec::new();
+    while let Some((stage, against)) = explainer.open.pop_front() {
+        all.push(explainer.explain(stage, against)?);
+    }
+    Ok(Explanations { all, asked })
 }
 
 struct Explainer<'a> {
@@ -69,7 +88,10 @@ struct Explainer<'a> {
     store: &'a Store,
     verdicts: Vec<Option<&'a Verdict>>,
     done: Vec<Option<Arc<Outputs>>>,
-    told: HashSet<StageIndex>,
+    /// Where each stage that is explained, or is going to be, stands in the list.
+    places: HashMap<StageIndex, usize>,
+    /// Those that are going to be, with what each is compared with.
+    open: VecDeque<(StageIndex, Option<(Key, Record)>)>,
 }
 
 impl Explainer<'_> {
@@ -93,22 +115,23 @@ impl Explainer<'_> {
         }
     }
 
+    /// Where a stage stands in the list. The first that asks decides what it is compared with.
+    fn place(&mut self, stage: StageIndex, against: Option<(Key, Record)>) -> usize {
+        let next = self.places.len();
+        match self.places.entry(stage) {
+            Entry::Occupied(at) => *at.get(),
+            Entry::Vacant(place) => {
+                self.open.push_back((stage, against));
+                *place.insert(next)
+            }
+        }
+    }
+
     fn explain(
         &mut self,
         stage: StageIndex,
         against: Option<(Key, Record)>,
     ) -> Result<Explanation, StoreError> {
-        let mut explanation = Explanation {
-            stage,
-            key: self.key(stage),
-            against: against.as_ref().map(|(key, _)| *key),
-            reasons: Vec::new(),
-            causes: Vec::new(),
-            repeated: !self.told.insert(stage),
-        };
-        if explanation.repeated {
-            return Ok(explanation);
-        }
         let node = &self.graph.stages[stage];
         // A record that is lost or damaged is a reason that no comparison shows.
         let told = match self.verdicts[stage.index()] {
@@ -119,14 +142,14 @@ impl Explainer<'_> {
                 .collect(),
             _ => Vec::new(),
         };
-        explanation.reasons = match &against {
+        let reasons = match &against {
             _ if !told.is_empty() => told,
             Some((_, then)) => differences(self.graph, node, then, &self.done, self.files),
             None => vec![Reason::New],
         };
-        explanation.causes =
-            self.causes(stage, against.as_ref().map(|(_, record)| record), &explanation.reasons)?;
-        Ok(explanation)
+        let causes = self.causes(stage, against.as_ref().map(|(_, record)| record), &reasons)?;
+        let against = against.map(|(key, _)| key);
+        Ok(Explanation { stage, key: self.key(stage), against, reasons, causes })
     }
 
     /// The stages behind the inputs that differ.
@@ -154,8 +177,8 @@ impl Explainer<'_> {
                 if then.is_none() && against.is_none() && self.done[feeder.index()].is_some() {
                     continue;
                 }
-                let explanation = self.explain(feeder, against)?;
-                causes.push(Cause { port: wire.port.to_owned(), explanation });
+                let at = self.place(feeder, against);
+                causes.push(Cause { port: wire.port.to_owned(), at });
             }
         }
         Ok(causes)

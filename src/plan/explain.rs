@@ -33,7 +33,7 @@ pub fn differences(
     let known = Known { graph, done, files };
     for wire in &stage.inputs {
         let before = then.inputs.iter().find(|input| input.port == wire.port);
-        known.input(wire, before, &mut found);
+        known.input(stage, wire, before, &mut found);
     }
     for gone in then.inputs.iter().filter(|input| stage.inputs.iter().all(|wire| wire.port != input.port)) {
         let items = gone.items.iter();
@@ -70,10 +70,14 @@ pub fn compare(then: &Record, now: &Record) -> Vec<Reason> {
         let before = items(then, port).unwrap_or_else(|| none.clone());
         let after = items(now, port).unwrap_or_else(|| none.clone());
         for item in &after {
-            let old = before.iter().find(|other| other.labels == item.labels).map(|other| other.digest);
-            if old != Some(item.digest) {
-                let (port, from) = (port.to_owned(), item.from.clone());
-                found.push(Reason::Input { port, from, old, new: Some(item.digest) });
+            let old = before.iter().find(|other| other.labels == item.labels);
+            let (port, from, new) = (port.to_owned(), item.from.clone(), Some(item.digest));
+            match old {
+                Some(old) if old.digest == item.digest && old.executable == item.executable => {}
+                Some(old) if old.digest == item.digest => {
+                    found.push(Reason::Rights { port, from, executable: item.executable });
+                }
+                old => found.push(Reason::Input { port, from, old: old.map(|old| old.digest), new }),
             }
         }
         let gone = before.iter().filter(|item| after.iter().all(|other| other.labels != item.labels));
@@ -117,11 +121,15 @@ struct Known<'a> {
 impl Known<'_> {
     /// Compares what is wired to one input. Artifacts of a fan-in are matched by their labels, so that one new artifact
     /// in the middle is not told as a change of all behind it.
-    fn input(&self, wire: &Wire, before: Option<&RecordInput>, found: &mut Vec<Reason>) {
+    fn input(
+        &self,
+        stage: &StageInstance,
+        wire: &Wire,
+        before: Option<&RecordInput>,
+        found: &mut Vec<Reason>,
+    ) {
         let before: &[RecordItem] = before.map_or(&[], |input| &input.items);
-        let mut reason = |from, old, new| {
-            found.push(Reason::Input { port: wire.port.to_owned(), from, old, new });
-        };
+        let port = || wire.port.to_owned();
         let mut changed = false;
         for source in &wire.sources {
             let Some(digest) = lookup::digest_of(source, self.done, self.files) else {
@@ -129,21 +137,28 @@ impl Known<'_> {
                 continue;
             };
             let place = |item: &&RecordItem| same_place(wire, source, item);
-            if !before.iter().filter(place).any(|item| item.digest == digest) {
+            let executable = lookup::is_executable(stage, source, self.done, self.files);
+            let mut same = before.iter().filter(place).filter(|item| item.digest == digest).peekable();
+            let from = || lookup::origin(self.graph, source);
+            if same.peek().is_none() {
                 changed = true;
                 let old = before.iter().find(place).map(|item| item.digest);
-                reason(lookup::origin(self.graph, source), old, Some(digest));
+                found.push(Reason::Input { port: port(), from: from(), old, new: Some(digest) });
+            } else if same.all(|item| item.executable != executable) {
+                changed = true;
+                found.push(Reason::Rights { port: port(), from: from(), executable });
             }
         }
         for item in before {
             if !wire.sources.iter().any(|source| same_place(wire, source, item)) {
                 changed = true;
-                reason(item.from.clone(), Some(item.digest), None);
+                found.push(gone_item(wire.port, item));
             }
         }
         let count = wire.sources.len();
         if !changed && (count != before.len() || wire.many && self.reordered(wire, before)) {
-            reason(format!("the order or number of its {count} artifacts"), None, None);
+            let from = format!("the order or number of its {count} artifacts");
+            found.push(Reason::Input { port: port(), from, old: None, new: None });
         }
     }
 

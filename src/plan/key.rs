@@ -15,6 +15,9 @@ use crate::store::{Digest, Key, Record};
 /// Separates keys from every other use of blake3, and carries the version of the format.
 const CONTEXT: &str = "dril-pipe stage key v1";
 
+/// Separates a program from the same bytes as mere data.
+const EXECUTABLE: &str = "dril-pipe executable v1";
+
 /// A parameter that has no place in a key.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("`{path}` is {value}, expected a finite number of at most 64 bits")]
@@ -47,8 +50,14 @@ pub struct WorkInput<'a> {
     pub port: &'a str,
     /// True where the input takes many: then labels are part of the key.
     pub many: bool,
-    /// Contents with their labels; the order matters.
+    /// Contents with their labels; the order matters. A file that may be executed goes by another name than its content:
+    /// see [`executable`].
     pub items: Vec<(Digest, &'a Labels)>,
+}
+
+/// What stands in a key for a file of this content that may be executed, where the stage can make use of that.
+pub fn executable(content: &Digest) -> Digest {
+    Digest::new(blake3::derive_key(EXECUTABLE, content.as_bytes()))
 }
 
 impl Work<'_> {
@@ -84,6 +93,11 @@ impl Work<'_> {
     }
 }
 
+/// The name of a content in a key.
+pub fn named(content: &Digest, is_executable: bool) -> Digest {
+    if is_executable { executable(content) } else { *content }
+}
+
 /// The key under which a record belongs: what it says of its own making, hashed anew.
 ///
 /// # Errors
@@ -92,7 +106,7 @@ pub fn key_of_record(record: &Record) -> Result<Key, NoKey> {
     let inputs = record.inputs.iter().map(|input| WorkInput {
         port: &input.port,
         many: input.many,
-        items: input.items.iter().map(|item| (item.digest, &item.labels)).collect(),
+        items: input.items.iter().map(|item| (named(&item.digest, item.executable), &item.labels)).collect(),
     });
     let work = Work {
         kind: &record.kind,

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use dril_stage_api::Labels;
 use rayon::prelude::*;
 
-use super::key::{NoKey, Work, WorkInput, key_of_record};
+use super::key::{NoKey, Work, WorkInput, key_of_record, named};
 use super::{OutsideFile, Reason};
 use crate::resolve::{From, Graph, Source, StageInstance};
 use crate::store::{
@@ -32,8 +32,26 @@ pub enum Cached {
 pub fn digest_of(source: &Source, done: &Done, files: &BTreeMap<String, OutsideFile>) -> Option<Digest> {
     match &source.from {
         From::Stage { stage, output } => Some(done[stage.index()].as_ref()?.get(*output)?.digest),
-        From::File { path, .. } => Some(files.get(path)?.digest),
+        From::File { key, .. } => Some(files.get(key)?.digest),
     }
+}
+
+/// True for a file that may be executed, where the stage that reads it can make use of that: it is in its key then. A
+/// stage of our own kinds reads its inputs, and nothing else.
+pub fn is_executable(
+    stage: &StageInstance,
+    source: &Source,
+    done: &Done,
+    files: &BTreeMap<String, OutsideFile>,
+) -> bool {
+    stage.kind.is_program()
+        && match &source.from {
+            From::Stage { stage, output } => done[stage.index()]
+                .as_ref()
+                .and_then(|outputs| outputs.get(*output))
+                .is_some_and(|it| it.executable),
+            From::File { key, .. } => files.get(key).is_some_and(|file| file.executable),
+        }
 }
 
 /// A stage's key; `None` while some stage that feeds it is not done.
@@ -50,7 +68,7 @@ pub fn key_of(
         let mut items: Vec<(Digest, &Labels)> = Vec::with_capacity(wire.sources.len());
         for source in &wire.sources {
             let Some(digest) = digest_of(source, done, files) else { return Ok(None) };
-            items.push((digest, &source.labels));
+            items.push((named(&digest, is_executable(stage, source, done, files)), &source.labels));
         }
         inputs.push(WorkInput { port: wire.port, many: wire.many, items });
     }
@@ -133,6 +151,7 @@ pub fn record_inputs(
                     from: origin(graph, source),
                     labels: source.labels.clone(),
                     digest: digest_of(source, done, files)?,
+                    executable: is_executable(stage, source, done, files),
                 })
             })
             .collect(),

@@ -13,14 +13,14 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::Path;
 use std::sync::Arc;
 
-pub use cause::{Cause, Explanation, explain};
+pub use cause::{Cause, Explanation, Explanations, explain};
 pub use estimate::Estimates;
 pub use explain::compare;
-pub use key::{NoKey, Work, WorkInput, key_of_record};
-pub(crate) use lookup::{Cached, digest_of, key_of, look_up, record_inputs};
+pub use key::{NoKey, Work, WorkInput, executable, key_of_record, named};
+pub(crate) use lookup::{Cached, digest_of, is_executable, key_of, look_up, record_inputs};
 pub use order::Order;
 pub(crate) use order::feeding;
-pub use outside::OutsideFile;
+pub use outside::{OutsideFile, inside};
 use serde::Serialize;
 
 use crate::fsx::{FsError, Lock};
@@ -157,6 +157,15 @@ pub enum Reason {
         /// The content now; `None` where nothing stands in its place, or it is not made yet.
         #[serde(skip_serializing_if = "Option::is_none")]
         new: Option<Digest>,
+    },
+    /// An input has the same content, but may be executed now, or not any more.
+    Rights {
+        /// The input's name.
+        port: String,
+        /// What is wired there: stage and output, or file.
+        from: String,
+        /// True where it may be executed now.
+        executable: bool,
     },
     /// The record is there, but a file that it names is not, or not in full.
     Lost {

@@ -6,12 +6,13 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use globset::{GlobBuilder, GlobSetBuilder};
 use rayon::prelude::*;
 
 use super::{MissingFile, PlanError};
-use crate::fsx::{self, FsError, Inside, Links, Outside, Stat};
+use crate::fsx::{self, FsError, Inside, Links, Outside, Stat, What};
 use crate::resolve::{From, Graph};
-use crate::store::{self, Digest, Folder, FolderEntry, FolderFile, Stats, Store};
+use crate::store::{self, Digest, Folder, FolderEntry, FolderFile, Part, Stats, Store};
 
 /// How often a file that changes while it is read is read anew.
 const TRIES: usize = 3;
@@ -30,15 +31,20 @@ pub struct OutsideFile {
     pub bytes: u64,
     /// What is in it, where it is a folder.
     pub folder: Option<Arc<Folder>>,
+    /// True for a file that may be executed.
+    pub executable: bool,
 }
 
 /// What a pipeline file says of something from outside.
 #[derive(Clone, Copy)]
 struct Wanted<'g> {
     path: &'g str,
+    /// See [`From::File`].
+    key: &'g str,
     place: &'g str,
     folder: bool,
     blake3: Option<&'g str>,
+    exclude: &'g [String],
 }
 
 /// The content of each file, with what the file system says of it.
@@ -67,12 +73,12 @@ pub(super) fn outside_files(
     let mut missing = Vec::new();
     let mut looked: BTreeMap<&str, (PathBuf, Found)> = BTreeMap::new();
     for one in &wanted {
-        if looked.contains_key(one.path) {
+        if looked.contains_key(one.key) {
             continue;
         }
         let path = base.join(one.path);
-        match look(&path, one.folder) {
-            Ok(found) => drop(looked.insert(one.path, (path, found))),
+        match look(&path, one.folder, one.exclude) {
+            Ok(found) => drop(looked.insert(one.key, (path, found))),
             Err(source) => missing.push(MissingFile { place: one.place.to_owned(), source }),
         }
     }
@@ -80,7 +86,7 @@ pub(super) fn outside_files(
         Ok(digests) => digests,
         Err(errors) => {
             missing.extend(errors.into_iter().map(|(written, source)| {
-                let place = wanted.iter().find(|one| one.path == written).map_or("", |one| one.place);
+                let place = wanted.iter().find(|one| one.key == written).map_or("", |one| one.place);
                 MissingFile { place: place.to_owned(), source }
             }));
             return Err(PlanError::Files(missing));
@@ -90,7 +96,7 @@ pub(super) fn outside_files(
     for (written, (path, found)) in looked {
         files.insert(written.to_owned(), outside_file(path, found, &digests));
     }
-    missing.extend(wanted.iter().filter_map(|one| differs(one, files.get(one.path)?)));
+    missing.extend(wanted.iter().filter_map(|one| differs(one, files.get(one.key)?)));
     if missing.is_empty() { Ok((files, stats)) } else { Err(PlanError::Files(missing)) }
 }
 
@@ -99,22 +105,42 @@ fn wanted(graph: &Graph) -> Vec<Wanted<'_>> {
     let sources = wires.flat_map(|wire| &wire.sources);
     let mut seen = BTreeSet::new();
     let wanted = sources.filter_map(|source| match &source.from {
-        From::File { path, place, folder, blake3 } => {
-            Some(Wanted { path, place, folder: *folder, blake3: blake3.as_deref() })
+        From::File { path, place, folder, blake3, exclude, key } => {
+            Some(Wanted { path, key, place, folder: *folder, blake3: blake3.as_deref(), exclude })
         }
         From::Stage { .. } => None,
     });
-    wanted.filter(|one| seen.insert((one.path, one.folder, one.blake3))).collect()
+    wanted.filter(|one| seen.insert((one.key, one.folder, one.blake3))).collect()
 }
 
-fn look(path: &Path, folder: bool) -> fsx::Result<Found> {
+fn look(path: &Path, folder: bool, exclude: &[String]) -> fsx::Result<Found> {
     let refuse = |why: &'static str| Err(FsError::at("read", path)(io::Error::other(why)));
     match (fsx::outside(path)?, folder) {
         (Outside::File(stat), false) => Ok(Found::File(stat)),
-        (Outside::Folder, true) => Ok(Found::Folder(fsx::walk(path, Links::Follow)?)),
+        (Outside::Folder, true) => Ok(Found::Folder(inside(path, exclude)?)),
         (Outside::Folder, false) => refuse("it is a folder, expected a file"),
         (Outside::File(_), true) => refuse("it is a file, expected a folder"),
     }
+}
+
+/// What is in a folder from outside, without what is left out by the globs `exclude`.
+///
+/// # Errors
+/// Something in it cannot be read, or is neither file nor folder.
+pub fn inside(folder: &Path, exclude: &[String]) -> fsx::Result<Vec<Inside>> {
+    let mut globs = GlobSetBuilder::new();
+    for glob in exclude {
+        // A name is looked for at any depth, a path from the folder on.
+        let glob = glob.strip_suffix('/').unwrap_or(glob);
+        let anywhere = if glob.contains('/') { "" } else { "**/" };
+        let glob = format!("{anywhere}{}", glob.strip_prefix('/').unwrap_or(glob));
+        // What is no glob was reported when the pipeline was read.
+        if let Ok(glob) = GlobBuilder::new(&glob).literal_separator(true).build() {
+            globs.add(glob);
+        }
+    }
+    let globs = globs.build().unwrap_or_default();
+    fsx::walk(folder, Links::Follow, &|inside| globs.is_match(inside))
 }
 
 /// The content of every file; those that are not known are read.
@@ -128,7 +154,11 @@ fn digests<'w>(
         let files: Vec<(PathBuf, Stat)> = match found {
             Found::File(stat) => vec![(path.clone(), *stat)],
             Found::Folder(inside) => {
-                inside.iter().filter_map(|inside| Some((path.join(&inside.path), inside.file?))).collect()
+                let file = |inside: &Inside| match inside.what {
+                    What::File(stat) => Some((path.join(&inside.path), stat)),
+                    What::Empty | What::Link(_) => None,
+                };
+                inside.iter().filter_map(file).collect()
             }
         };
         for (path, stat) in files {
@@ -196,22 +226,25 @@ fn outside_file(path: PathBuf, found: Found, digests: &Contents) -> OutsideFile 
     match found {
         Found::File(stat) => {
             let (digest, stat) = of(&path).unwrap_or((Digest::of(&[]), stat));
-            OutsideFile { path, digest, bytes: stat.bytes, folder: None }
+            OutsideFile { path, digest, bytes: stat.bytes, folder: None, executable: stat.executable }
         }
         Found::Folder(inside) => {
             let entries = inside.into_iter().map(|inside| {
-                let file = inside.file.and_then(|_| of(&path.join(&inside.path)));
-                let file = file.map(|(digest, stat)| FolderFile {
-                    digest,
-                    bytes: stat.bytes,
-                    executable: stat.executable,
-                });
-                FolderEntry { path: inside.path, file }
+                let what = match inside.what {
+                    What::File(stat) => {
+                        let (digest, stat) = of(&path.join(&inside.path)).unwrap_or((Digest::of(&[]), stat));
+                        let (bytes, executable) = (stat.bytes, stat.executable);
+                        Part::File(FolderFile { digest, bytes, executable })
+                    }
+                    What::Empty => Part::Empty,
+                    What::Link(to) => Part::Link(to),
+                };
+                FolderEntry { path: inside.path, what }
             });
             let folder = Folder::new(entries.collect());
             let list = folder.to_bytes();
             let (digest, bytes) = (Digest::of(&list), list.len() as u64);
-            OutsideFile { path, digest, bytes, folder: Some(Arc::new(folder)) }
+            OutsideFile { path, digest, bytes, folder: Some(Arc::new(folder)), executable: false }
         }
     }
 }

@@ -70,6 +70,7 @@ fn node(stage: &Expanded<'_>, number: usize, instance: Instance, wires: Wires) -
         seed: instance.seed,
         needs: instance.needs,
         limits: stage.stage.limits,
+        resources: stage.stage.resources.clone(),
         ports: instance.ports,
         inputs: wires.into_iter().map(|(wire, _)| wire).collect(),
     })

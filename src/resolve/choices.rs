@@ -206,16 +206,92 @@ fn assignment(argument: &str, source: u16, problems: &mut Problems) -> Option<(V
     let keys = keys(path, source, problems)?;
     let mut begin = path.len() + 1;
     let mut nodes = Vec::new();
-    for part in parts(value) {
-        let node = yaml::read(part, source, begin, problems).or_else(|| {
-            // Nothing after the `=` is no YAML document; whatever else gives none has been reported.
-            let nothing = Node::new(Value::Null, Span::new(source, begin..begin + part.len()));
-            part.trim().is_empty().then_some(nothing)
-        });
-        nodes.push(node?);
+    let parts = parts(value);
+    for part in &parts {
+        nodes.push(read_value(part, parts.len() == 1, source, begin, problems)?);
         begin += part.len() + 1;
     }
     Some((keys, nodes))
+}
+
+/// A value as YAML reads it, but never less than what was written: a plain text is taken whole, whatever is in it, and where
+/// YAML would pass over something else, that is reported. `is_only`: it is no part of a sweep, so that blanks around a text
+/// belong to it.
+fn read_value(part: &str, is_only: bool, source: u16, begin: usize, problems: &mut Problems) -> Option<Node> {
+    let bare = part.trim();
+    let span = Span::new(source, begin..begin + part.len());
+    if bare.is_empty() {
+        // Nothing after the `=` is no YAML document.
+        return Some(Node::new(Value::Null, span));
+    }
+    let text = |text: &str| Some(Node::new(Value::Text(text.into()), span));
+    let whole = if is_only { part } else { bare };
+    let comment = comment(bare);
+    if is_plain(bare) && (comment.is_some() || bare.contains(['\n', '\r'])) {
+        return text(whole);
+    }
+    if let Some(at) = comment {
+        let start = begin + (part.len() - part.trim_start().len()) + at;
+        problems.add(|| {
+            let at = Span::new(source, start..begin + part.len());
+            Problem::new(at, "found a `#`, from which on YAML reads a comment, and nothing would be left of it")
+                .hint("put the whole value in quotes for the command line, and the text with the `#` in quotes for YAML: `--set 'a.b=\"fix #12\"'`")
+        });
+        return None;
+    }
+    let node = yaml::read(part, source, begin, problems)?;
+    match &node.value {
+        Value::Text(read) if is_plain(bare) && &**read != whole => text(whole),
+        Value::Null if !matches!(bare, "~" | "null" | "Null" | "NULL") => {
+            problems.add(|| {
+                Problem::new(
+                    span,
+                    format!("found `{}`, which YAML reads as nothing", crate::spec::node::shorten(bare)),
+                )
+                .hint("write `null` for nothing, or put a text in quotes, as in `--set 'a.b=\"&x\"'`")
+            });
+            None
+        }
+        _ => Some(node),
+    }
+}
+
+/// True for what is no list, map, quoted text or anything else that begins with a sign of YAML's.
+fn is_plain(bare: &str) -> bool {
+    let marked = bare.starts_with(|c: char| "[]{}\"'&*!|>%@`,".contains(c));
+    let begins = |sign: &str| {
+        bare.strip_prefix(sign).is_some_and(|rest| rest.is_empty() || rest.starts_with([' ', '\n', '\t']))
+    };
+    let is_map = bare.lines().any(|line| {
+        let line = line.find(" #").map_or(line, |at| &line[..at]);
+        line.contains(": ") || line.ends_with(':')
+    });
+    !marked && !begins("-") && !begins("?") && !begins("---") && !begins("...") && !is_map
+}
+
+/// Where a comment begins: at a `#` that opens the text or follows a blank, outside of quotes.
+fn comment(text: &str) -> Option<usize> {
+    let mut quote = None;
+    // What stands before a quote that opens a text.
+    let mut last = ',';
+    let mut before = ' ';
+    for (at, c) in text.char_indices() {
+        match quote {
+            // `\"` goes on; so does the second of two `'`, which opens the text again at once.
+            Some(open) if c == open && !(c == '"' && before == '\\') => {
+                quote = None;
+            }
+            Some(_) => {}
+            None if c == '#' && before.is_whitespace() => return Some(at),
+            None if matches!(c, '"' | '\'') && (",[{:".contains(last) || before == '\'') => quote = Some(c),
+            None => {}
+        }
+        if !c.is_whitespace() {
+            last = c;
+        }
+        before = c;
+    }
+    None
 }
 
 /// The parts between commas, where the value is no list, map or quoted text.
@@ -256,4 +332,53 @@ fn keys(path: &str, source: u16, problems: &mut Problems) -> Option<Vec<Key>> {
         return None;
     }
     Some(keys)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(argument: &str) -> String {
+        let mut problems = Problems::default();
+        let Some((_, values)) = assignment(argument, 0, &mut problems) else { return "refused".to_owned() };
+        let shown = values.iter().map(|node| match &node.value {
+            Value::Text(text) => format!("{text:?}"),
+            Value::Number(_, text) => text.to_string(),
+            Value::List(items) => format!("list of {}", items.len()),
+            Value::Map(entries) => format!("map of {}", entries.len()),
+            Value::Null => "nothing".to_owned(),
+            other => format!("{other:?}"),
+        });
+        shown.collect::<Vec<_>>().join(" ")
+    }
+
+    #[test]
+    fn a_value_is_taken_whole_or_refused() {
+        for (argument, expected) in [
+            ("s=#12", "\"#12\""),
+            ("s=fix #12", "\"fix #12\""),
+            ("s=it's #1", "\"it's #1\""),
+            ("s=5 #12", "\"5 #12\""),
+            ("s=c#", "\"c#\""),
+            ("s= two  blanks ", "\" two  blanks \""),
+            ("s=two\nlines", "\"two\\nlines\""),
+            ("s=\"fix #12\"", "\"fix #12\""),
+            ("s='it''s #12'", "\"it's #12\""),
+            ("s=[a, '#b']", "list of 2"),
+            ("s={a: \"x #\"}", "map of 1"),
+            ("s=", "nothing"),
+            ("s=null", "nothing"),
+            ("s=3.10", "3.10"),
+            ("s=a, b", "\"a\" \"b\""),
+            ("s=fix #1, 2", "\"fix #1\" 2"),
+            // Refused, with the place.
+            ("s=\"a\" #12", "refused"),
+            ("s=[a, b] # c", "refused"),
+            ("s={a: x #y", "refused"),
+            ("s=&x", "refused"),
+            ("s=a: b #c", "refused"),
+        ] {
+            assert_eq!(read(argument), expected, "{argument}");
+        }
+    }
 }

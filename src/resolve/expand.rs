@@ -1,12 +1,13 @@
 //! From stages to their instances: matrices are multiplied out, and each instance's parameters are put together from
 //! defaults, stage, profile and `--set`, and checked by its kind.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 
 use dril_stage_api::{Kind, Look, Needs, Outside, Ports, Registry, Seed};
 use serde_json::Value as Json;
 
+use super::Choices;
 use super::axes::{Axes, Axis, AxisValue};
 use super::choices::Layers;
 use super::globals;
@@ -90,8 +91,8 @@ pub(super) struct World<'a> {
     pub axis_places: &'a HashMap<Arc<str>, Span>,
     /// The pipeline's seed; `None` where it is broken, which was reported.
     pub seed: Option<u64>,
-    /// The environment of the run.
-    pub environment: &'a BTreeMap<String, String>,
+    /// What the command line chose, with the environment of the run.
+    pub choices: &'a Choices,
 }
 
 impl<'a> World<'a> {
@@ -205,17 +206,30 @@ fn instance_of(
     world: &World<'_>,
     filler: &mut Filler<'_>,
 ) -> Option<Instance> {
-    let (pipeline_seed, environment) = (world.seed, world.environment);
+    let (pipeline_seed, environment) = (world.seed, &world.choices.environment);
     let stage = expanded.stage;
     let with = with(layers, scope, filler);
     let own_seed = stage.seed.as_ref().map(|node| globals::seed(node, scope, filler));
     let (kind, with) = (expanded.kind?, with?);
     let whole = stage.with.as_ref().map_or(stage.name.span, |with| with.span);
-    let mut checked = kind.look(&params::to_json(&with));
+    let mut checked = kind.look(&params::to_params(&with, kind.texts()));
     if let Ok(look) = &mut checked
         && from_environment(&kind, &mut look.params, environment)
     {
         checked = kind.look(&look.params);
+    }
+    if let Ok(look) = &checked
+        && let Some(name) = not_text(&kind, &look.params, &world.choices.not_text)
+    {
+        filler.problems.add(|| {
+            let text = format!(
+                "stage `{}` sees the variable `{name}`, whose value is no UTF-8 text, so that it cannot stand in a key",
+                stage.name.text
+            );
+            Problem::new(whole, text)
+                .hint("set it to UTF-8, or name it under `pass_env`, whose values do not enter the key")
+        });
+        return None;
     }
     if own_seed.is_some() && checked.as_ref().is_ok_and(|look| !look.seeded) {
         let at = stage.seed.as_ref().map_or(stage.name.span, |seed| seed.span);
@@ -269,6 +283,12 @@ fn from_environment(kind: &Kind, params: &mut Json, environment: &BTreeMap<Strin
         }
     }
     filled
+}
+
+/// A variable that the stage is to see and that is set to something else than text.
+fn not_text<'n>(kind: &Kind, params: &Json, not_text: &'n BTreeSet<String>) -> Option<&'n String> {
+    let variables = kind.environment().and_then(|field| params.get(field)?.as_object())?;
+    not_text.iter().find(|name| variables.get(*name).is_some_and(Json::is_null))
 }
 
 /// The parameters of an instance, put together; an empty map where nothing is written.

@@ -6,7 +6,7 @@ use dril_stage_api::{Kind, Labels, Needs, Ports, Seed};
 use petgraph::graph::{DiGraph, NodeIndex};
 use serde_json::Value;
 
-use crate::spec::Limits;
+use crate::spec::{Limits, Resources};
 
 /// The index of a stage instance in its graph.
 pub type StageIndex = NodeIndex<u32>;
@@ -41,6 +41,8 @@ pub struct StageInstance {
     pub needs: Needs,
     /// How long and how much it may take, and how often it is tried; never part of the key.
     pub limits: Limits,
+    /// What it holds of what there is a number of, as `gpu: 1`; never part of the key.
+    pub resources: Resources,
     /// Its ports under these parameters.
     pub ports: Ports,
     /// What is wired to each input, in the order of the ports. Unconnected optional inputs are absent.
@@ -87,6 +89,10 @@ pub enum From {
         folder: bool,
         /// The content that it must have, in hexadecimal digits.
         blake3: Option<String>,
+        /// What of a folder is left out, as globs.
+        exclude: Vec<String>,
+        /// What tells it from other files: the path, and what is left out.
+        key: String,
     },
 }
 
@@ -120,4 +126,35 @@ pub(super) fn file_stem<'v>(name: &str, values: impl Iterator<Item = &'v str>) -
         stem.extend(value.chars().map(|c| if c.is_alphanumeric() || "._-".contains(c) { c } else { '_' }));
     }
     stem
+}
+
+/// Bytes that a file's name may have on nearly every file system.
+const LONGEST_NAME: usize = 255;
+
+/// A file name of a stem and what has to stand behind it. Where that is longer than file systems allow, the stem is cut
+/// between two characters, and digits that depend on all of it keep it apart from others.
+pub fn file_name(stem: &str, rest: &str) -> String {
+    if stem.len() + rest.len() <= LONGEST_NAME {
+        return format!("{stem}{rest}");
+    }
+    let digits = &blake3::hash(stem.as_bytes()).to_hex()[..12];
+    let room = LONGEST_NAME.saturating_sub(rest.len() + digits.len() + 1);
+    format!("{}-{digits}{rest}", &stem[..stem.floor_char_boundary(room)])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_that_is_too_long_for_a_file_is_cut_between_characters_and_stays_apart_from_others() {
+        assert_eq!(file_name("table", "-t.csv"), "table-t.csv");
+        let long = "語".repeat(100);
+        let (one, other) = (file_name(&long, ".csv"), file_name(&format!("{long}x"), ".csv"));
+        for name in [&one, &other] {
+            assert!((250..=255).contains(&name.len()) && name.ends_with(".csv"), "{name}");
+        }
+        assert_ne!(one, other);
+        assert_eq!(file_name(&"a".repeat(251), ".csv").len(), 255);
+    }
 }

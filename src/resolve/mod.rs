@@ -26,10 +26,10 @@ mod target;
 mod template;
 mod wiring;
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 
-pub use graph::{From, Graph, Source, StageIndex, StageInstance, Wire};
+pub use graph::{From, Graph, Source, StageIndex, StageInstance, Wire, file_name};
 pub use pattern::{NoStage, Pattern};
 pub use target::{Selected, Selection};
 
@@ -51,6 +51,8 @@ pub struct Choices {
     /// The environment of the run, as far as it is text: stages that name a variable are given its value, and run anew
     /// when it changes.
     pub environment: BTreeMap<String, String>,
+    /// Variables that are set, but to no text (they are not UTF-8): a stage that names one cannot be given its value.
+    pub not_text: BTreeSet<String>,
 }
 
 /// Resolves a pipeline file.
@@ -64,7 +66,7 @@ pub fn resolve(spec: &Spec, choices: &Choices, registry: &Registry) -> Result<Gr
         let mut problems = spec.problems.clone();
         let layers = Layers::read(spec, choices, &spread, &mut sources, &mut problems);
         let mut filler = Filler::new(&sources, &mut problems);
-        let graph = resolve_layers(spec, &layers, registry, &choices.environment, &mut filler);
+        let graph = resolve_layers(spec, &layers, registry, choices, &mut filler);
         // Each time round one more stage has the axis of a sweep, so there is an end.
         let before = spread.len();
         spread.append(&mut filler.spread);
@@ -83,7 +85,7 @@ fn resolve_layers(
     spec: &Spec,
     layers: &Layers<'_>,
     registry: &Registry,
-    environment: &BTreeMap<String, String>,
+    choices: &Choices,
     filler: &mut Filler<'_>,
 ) -> Option<Graph> {
     let axis_places: HashMap<Arc<str>, Span> =
@@ -103,7 +105,7 @@ fn resolve_layers(
         axes: &axes,
         axis_places: &axis_places,
         seed,
-        environment,
+        choices,
     };
     let stages = expand::expand(&world, filler);
     build::graph(&world, stages, filler)

@@ -21,6 +21,28 @@ pub(super) fn to_json(node: &Node) -> Json {
     }
 }
 
+/// As [`to_json`], of the parameters of a kind to which those called `texts` are texts: numbers in them stay as they were
+/// written.
+pub(super) fn to_params(with: &Node, texts: &[&str]) -> Json {
+    let Value::Map(entries) = &with.value else { return to_json(with) };
+    let param = |(key, node): &(Key, Node)| {
+        let value = if texts.contains(&&*key.text) { to_texts(node) } else { to_json(node) };
+        (key.text.to_string(), value)
+    };
+    Json::Object(entries.iter().map(param).collect())
+}
+
+fn to_texts(node: &Node) -> Json {
+    match &node.value {
+        Value::Number(..) => node.written().map_or(Json::Null, |text| Json::String(text.to_string())),
+        Value::List(items) => Json::Array(items.iter().map(to_texts).collect()),
+        Value::Map(entries) => {
+            Json::Object(entries.iter().map(|(key, node)| (key.text.to_string(), to_texts(node))).collect())
+        }
+        _ => to_json(node),
+    }
+}
+
 /// What a kind found wrong with `with`, the parameters of `stage`, at the line that the wrong value came from. `whole`
 /// is the place of what is missing altogether.
 pub(super) fn explain(found: &ParamProblem, with: &Node, stage: &str, whole: Span) -> Problem {

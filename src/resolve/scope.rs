@@ -262,7 +262,7 @@ impl<'p> Filler<'p> {
     fn scalar(&mut self, path: &Path<'_>, whole: &str, node: &Node, scope: &Scope<'_>) -> Option<Arc<str>> {
         let at = self.part(node, whole, path);
         let found = self.get(path, at, scope, 0)?;
-        let text = found.scalar_text();
+        let text = found.written();
         if text.is_none() {
             self.problems.add(|| {
                 Problem::new(
@@ -292,11 +292,16 @@ impl<'p> Filler<'p> {
     /// The place of a part of a text, where the file shows the text as it is; else the place of the whole.
     pub fn within(&self, node: &Node, text: &str, range: std::ops::Range<usize>) -> Span {
         let shown = self.sources.get(node.span).slice(node.span);
-        let skip = match shown.find(text) {
-            Some(skip) if skip <= 1 => skip,
-            _ => return node.span,
-        };
-        node.span.part(skip + range.start..skip + range.end)
+        match shown.find(text) {
+            Some(skip) if skip <= 1 => node.span.part(skip + range.start..skip + range.end),
+            _ => {
+                // In a block the lines are indented, and escapes may stand in quotes: the part is found by its own text.
+                let part = &text[range.clone()];
+                let before = text[..range.start].matches(part).count();
+                let found = shown.match_indices(part).nth(before).filter(|_| part.len() > 1);
+                found.map_or(node.span, |(at, part)| node.span.part(at..at + part.len()))
+            }
+        }
     }
 
     fn count(&mut self, values: usize, at: Span) -> Option<()> {

@@ -114,6 +114,12 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
             place: self.filler.sources.get(at).place(at),
             folder: input.artifact == Artifact::Folder,
             blake3: outside.blake3.clone(),
+            exclude: outside.exclude.clone(),
+            key: std::iter::once(&outside.path)
+                .chain(&outside.exclude)
+                .map(String::as_str)
+                .collect::<Vec<_>>()
+                .join("\0"),
         };
         let sources = vec![Source { from, labels: Labels::new() }];
         vec![(Wire { port: input.name, many: false, sources }, at)]
@@ -200,7 +206,14 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
                 What::File(path) => {
                     let place = self.filler.sources.get(item.node.span).place(item.node.span);
                     let labels = name_label(item, connection);
-                    let from = From::File { path: path.clone(), place, folder: false, blake3: None };
+                    let from = From::File {
+                        path: path.clone(),
+                        place,
+                        folder: false,
+                        blake3: None,
+                        exclude: Vec::new(),
+                        key: path.clone(),
+                    };
                     connection.found.push(Source { from, labels });
                 }
                 What::Stage(text) => self.stage(text, item, connection),

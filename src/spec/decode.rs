@@ -19,8 +19,19 @@ use super::suggest;
 
 pub(super) const TOP: [&str; 8] =
     ["name", "include", "seed", "params", "axes", "defaults", "stages", "profiles"];
-pub(super) const STAGE: [&str; 10] =
-    ["kind", "about", "matrix", "when", "seed", "with", "inputs", "retries", "timeout", "memory"];
+pub(super) const STAGE: [&str; 11] = [
+    "kind",
+    "about",
+    "matrix",
+    "when",
+    "seed",
+    "with",
+    "inputs",
+    "retries",
+    "timeout",
+    "memory",
+    "resources",
+];
 
 /// A file by itself.
 pub(super) struct File {
@@ -286,10 +297,11 @@ fn stage(name: Key, node: Node, problems: &mut Problems) -> Option<Stage> {
         fields.take("inputs").map(|(_, node)| entries(node, "`inputs`", problems)).unwrap_or_default();
     let (retries, timeout, memory) = (fields.take("retries"), fields.take("timeout"), fields.take("memory"));
     let limits = limits::limits(retries, timeout, memory, problems);
+    let resources = limits::resources(fields.take("resources"), problems);
     let mut optional = |field: &str| fields.take(field).map(|(key, node)| placed(key, node));
     let (seed, with) = (optional("seed"), optional("with"));
     rules.when = optional("when").filter(|node| !matches!(node.value, Value::Null));
-    Some(Stage { name, kind, matrix, rules, seed, with, inputs, limits })
+    Some(Stage { name, kind, matrix, rules, seed, with, inputs, limits, resources })
 }
 
 /// The node; where nothing is written, it stands where its key does.

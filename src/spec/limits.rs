@@ -1,6 +1,8 @@
 //! How long a stage may take, how much memory, and how often it is tried: what it takes of the machine and of patience,
 //! and never part of a key.
 
+use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::time::Duration;
 
 use super::node::{Key, Node, Value};
@@ -23,6 +25,12 @@ pub struct Limits {
     /// How many bytes of memory it may keep, with all that it started.
     pub memory: Option<u64>,
 }
+
+/// What a stage holds while it runs, of what there is a number of: `gpu: 1`, `licence: 2`. Shared, since most hold nothing.
+pub type Resources = Arc<BTreeMap<String, u32>>;
+
+/// More of one resource is a slip.
+const MOST_OF_ONE: u64 = 10_000;
 
 impl Default for Limits {
     fn default() -> Self {
@@ -63,6 +71,33 @@ pub(super) fn limits(
         }
     });
     limits
+}
+
+/// Reads the field `resources` of a stage: `{ gpu: 1, licence: 2 }`.
+pub(super) fn resources(field: Option<(Key, Node)>, problems: &mut Problems) -> Resources {
+    let mut all = BTreeMap::new();
+    let Some((key, node)) = field else { return Resources::default() };
+    let Value::Map(entries) = node.value else {
+        wrong(&key, &node, "a map of names and whole numbers, as `{ gpu: 1 }`", problems);
+        return Resources::default();
+    };
+    for (name, value) in entries {
+        let count = match &value.value {
+            Value::Number(number, _) => number.as_u64().filter(|count| (1..=MOST_OF_ONE).contains(count)),
+            _ => None,
+        };
+        match count.and_then(|count| u32::try_from(count).ok()) {
+            Some(count) if super::names::is_identifier(&name.text) => {
+                all.insert(name.text.to_string(), count);
+            }
+            Some(_) => problems.add(|| {
+                let text = format!("`{}` cannot be the name of a resource", super::node::shorten(&name.text));
+                Problem::new(name.span, text).hint("a letter, then letters, digits, `-` or `_`")
+            }),
+            None => wrong(&name, &value, "a whole number, 1 or more", problems),
+        }
+    }
+    all.into()
 }
 
 /// `3`, or `{ times: 3, pause: 30s }`.

@@ -27,7 +27,7 @@ mod syntax;
 pub(crate) mod yaml;
 
 pub use diagnostic::{Diagnostic, Diagnostics, Place};
-pub use limits::Limits;
+pub use limits::{Limits, Resources};
 pub use memo::Memo;
 pub use model::Spec;
 #[doc(hidden)]

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use super::SourceName;
-use super::limits::Limits;
+use super::limits::{Limits, Resources};
 use super::node::{Key, Node};
 use super::problem::Problems;
 use super::source::Source;
@@ -89,6 +89,7 @@ pub(crate) struct Stage {
     pub with: Option<Node>,
     pub inputs: Vec<(Key, Node)>,
     pub limits: Limits,
+    pub resources: Resources,
 }
 
 /// An axis of a stage's matrix.

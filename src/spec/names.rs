@@ -29,7 +29,7 @@ pub(crate) const NOT_IN_LABELS: &str = "[],=|*$";
 pub(crate) fn is_label(text: &str) -> bool {
     !text.is_empty()
         && text.trim() == text
-        && text.len() <= 100
+        && text.chars().count() <= 100
         && !text.contains(|c: char| c.is_control() || NOT_IN_LABELS.contains(c))
 }
 
@@ -44,6 +44,7 @@ mod tests {
         assert!(is_kebab("thesis") && is_kebab("lunar-lander-2"));
         assert!(!is_kebab("Thesis") && !is_kebab("a--b") && !is_kebab("../up") && !is_kebab(""));
         assert!(is_label("dril-peak") && is_label("0.98") && is_label("-1") && is_label("two words"));
+        assert!(is_label(&"語".repeat(100)) && !is_label(&"語".repeat(101)), "characters count, not bytes");
         assert!(!is_label("") && !is_label("a|b") && !is_label(" a") && !is_label("a\nb") && !is_label("$a"));
     }
 }

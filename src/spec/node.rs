@@ -93,6 +93,17 @@ impl Node {
         }
     }
 
+    /// The text of a scalar as it goes into another text: as it was written, but for whole numbers in the notations that
+    /// only YAML has (`0x1f`, `0o17`), which are given in decimal. `None` as with [`Node::scalar_text`].
+    pub fn written(&self) -> Option<Arc<str>> {
+        match &self.value {
+            Value::Number(number, text) if text.starts_with("0x") || text.starts_with("0o") => {
+                Some(number.to_string().into())
+            }
+            _ => self.scalar_text(),
+        }
+    }
+
     /// The entry of a map.
     pub fn get(&self, key: &str) -> Option<(&Key, &Node)> {
         let Value::Map(entries) = &self.value else { return None };

@@ -134,6 +134,10 @@ fn stage_field(name: &str, registry: &Registry) -> Value {
         "timeout" => {
             json!({ "type": ["string", "number"], "description": "how long one try may take, as `90s`, `2h`" })
         }
+        "resources" => json!({
+            "type": "object", "additionalProperties": { "type": "integer", "minimum": 1 },
+            "description": "what it holds while it runs, of what `run --resources` counts, as `{ gpu: 1 }`",
+        }),
         "memory" => json!({
             "type": ["string", "number"], "description": "how much memory it may keep, as `500M`, `8G`",
         }),

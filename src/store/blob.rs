@@ -49,7 +49,12 @@ impl Store {
     /// # Errors
     /// It cannot be read, or the store cannot be written.
     pub fn take(&self, path: &Path) -> Result<Blob, StoreError> {
-        let file = fsx::open(path)?;
+        let mut file = fsx::open(path)?;
+        if fsx::is_in_other_hands(&file, path)? {
+            // Whoever has it can write into it whatever its name is then: a new file takes its place.
+            fsx::copy_atomic(path, path)?;
+            file = fsx::open(path)?;
+        }
         let (digest, bytes) = hash(&file, path)?;
         self.adopt(file, path, digest, bytes)
     }
@@ -96,9 +101,9 @@ impl Store {
         // Several stages may bring in the same file at once, each its own copy.
         let number = COPIES.fetch_add(1, Ordering::Relaxed);
         let copy = run.temporary().join(format!("import-{number}-{digest}"));
-        let mut hashing = Hashing { file: fsx::open(path)?, hasher: blake3::Hasher::new() };
+        let mut hashing = Hashing::new(fsx::open(path)?);
         fsx::copy_from(&mut hashing, path, &copy)?;
-        if hashing.hasher.finalize().as_bytes() != digest.as_bytes() {
+        if hashing.digest() != *digest {
             fsx::remove_file(&copy)?;
             return Err(StoreError::Changed(path.to_owned()));
         }
@@ -108,9 +113,20 @@ impl Store {
 }
 
 /// A file whose content is hashed as it is read.
-struct Hashing {
+pub(super) struct Hashing {
     file: File,
     hasher: blake3::Hasher,
+}
+
+impl Hashing {
+    pub fn new(file: File) -> Self {
+        Self { file, hasher: blake3::Hasher::new() }
+    }
+
+    /// The name of what was read so far.
+    pub fn digest(&self) -> Digest {
+        Digest::new(*self.hasher.finalize().as_bytes())
+    }
 }
 
 impl Read for Hashing {

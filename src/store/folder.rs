@@ -6,6 +6,7 @@
 //! <64 digits> <bytes> - data/a.csv        a file
 //! <64 digits> <bytes> x bin/tool          a file that may be executed
 //! - 0 d logs                              a folder in which there is nothing
+//! data/b.csv 0 l last.csv                 a link, and where it leads from there
 //! ```
 //!
 //! Lines are sorted by path; bytes of a path that are no plain ASCII are written as `%` and two hexadecimal digits, and so
@@ -20,7 +21,7 @@ use std::sync::atomic::Ordering;
 use rayon::prelude::*;
 
 use super::{Blob, Digest, Run, Store, StoreError, Stored};
-use crate::fsx::{self, FsError, Links};
+use crate::fsx::{self, Links, What};
 
 const HEAD: &str = "dril-folder 1";
 
@@ -35,8 +36,19 @@ pub struct Folder {
 pub struct FolderEntry {
     /// Relative to the folder; made of names only.
     pub path: PathBuf,
-    /// `None` for a folder in which there is nothing.
-    pub file: Option<FolderFile>,
+    /// What is there.
+    pub what: Part,
+}
+
+/// What there can be in a folder.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// A file.
+    File(FolderFile),
+    /// A folder in which there is nothing.
+    Empty,
+    /// A link to something in the same folder, as [`fsx::What::Link`].
+    Link(PathBuf),
 }
 
 /// A file in a folder.
@@ -64,20 +76,24 @@ impl Folder {
 
     /// Its files.
     pub fn files(&self) -> impl Iterator<Item = (&Path, FolderFile)> {
-        self.entries.iter().filter_map(|entry| Some((entry.path.as_path(), entry.file?)))
+        self.entries.iter().filter_map(|entry| match entry.what {
+            Part::File(file) => Some((entry.path.as_path(), file)),
+            Part::Empty | Part::Link(_) => None,
+        })
     }
 
     /// The list as it is stored.
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut text = format!("{HEAD}\n");
-        for FolderEntry { path, file } in &self.entries {
+        for FolderEntry { path, what } in &self.entries {
             let path = escape(path);
-            match file {
-                Some(FolderFile { digest, bytes, executable }) => {
+            match what {
+                Part::File(FolderFile { digest, bytes, executable }) => {
                     let mark = if *executable { 'x' } else { '-' };
                     text += &format!("{digest} {bytes} {mark} {path}\n");
                 }
-                None => text += &format!("- 0 d {path}\n"),
+                Part::Empty => text += &format!("- 0 d {path}\n"),
+                Part::Link(to) => text += &format!("{} 0 l {path}\n", escape(to)),
             }
         }
         text.into_bytes()
@@ -107,7 +123,12 @@ impl Folder {
             |entry: &FolderEntry| entry.path.as_os_str().as_bytes().split(|byte| *byte == b'/').all(name);
         let paths: HashSet<&Path> = folder.entries.iter().map(|entry| entry.path.as_path()).collect();
         let apart = |entry: &FolderEntry| !entry.path.ancestors().skip(1).any(|above| paths.contains(above));
+        let leads_inside = |entry: &FolderEntry| match &entry.what {
+            Part::Link(to) => fsx::is_plain_target(entry.path.parent().unwrap_or(Path::new("")), to),
+            Part::File(_) | Part::Empty => true,
+        };
         if folder.entries.iter().all(names_only)
+            && folder.entries.iter().all(leads_inside)
             && folder.entries.iter().all(apart)
             && paths.len() == folder.entries.len()
             && Self::new(folder.entries.clone()).to_bytes() == bytes
@@ -124,15 +145,16 @@ impl Folder {
 /// # Errors
 /// Something in it cannot be read, or is neither file nor folder.
 pub fn hash_folder(path: &Path) -> fsx::Result<Folder> {
-    let entries = fsx::walk(path, Links::Refuse)?.into_par_iter().map(|inside| {
-        let file = match inside.file {
-            Some(stat) => {
+    let entries = fsx::walk(path, Links::Keep, &fsx::nothing)?.into_par_iter().map(|inside| {
+        let what = match inside.what {
+            What::File(stat) => {
                 let (digest, bytes) = super::hash_file(&path.join(&inside.path))?;
-                Some(FolderFile { digest, bytes, executable: stat.executable })
+                Part::File(FolderFile { digest, bytes, executable: stat.executable })
             }
-            None => None,
+            What::Empty => Part::Empty,
+            What::Link(to) => Part::Link(to),
         };
-        Ok(FolderEntry { path: inside.path, file })
+        Ok(FolderEntry { path: inside.path, what })
     });
     Ok(Folder::new(entries.collect::<fsx::Result<_>>()?))
 }
@@ -168,16 +190,17 @@ fn unescape(text: &str) -> Option<PathBuf> {
 fn entry(line: &str) -> Option<FolderEntry> {
     let mut words = line.splitn(4, ' ');
     let (digest, bytes, mark, path) = (words.next()?, words.next()?, words.next()?, words.next()?);
-    let file = match (digest, mark) {
-        ("-", "d") => None,
-        (digest, "-" | "x") => Some(FolderFile {
+    let what = match (digest, mark) {
+        ("-", "d") => Part::Empty,
+        (to, "l") => Part::Link(unescape(to)?),
+        (digest, "-" | "x") => Part::File(FolderFile {
             digest: digest.parse().ok()?,
             bytes: bytes.parse().ok()?,
             executable: mark == "x",
         }),
         _ => return None,
     };
-    Some(FolderEntry { path: unescape(path)?, file })
+    Some(FolderEntry { path: unescape(path)?, what })
 }
 
 impl Store {
@@ -186,12 +209,20 @@ impl Store {
     /// # Errors
     /// There is something in it that is neither file nor folder, it cannot be read, or the store cannot be written.
     pub fn take_folder(&self, path: &Path) -> Result<Blob, StoreError> {
-        let found = fsx::walk(path, Links::Refuse)?;
+        let found = fsx::walk(path, Links::Keep, &fsx::nothing)?;
         let taken = found.into_par_iter().map(|inside| {
-            let Some(stat) = inside.file else { return Ok(FolderEntry { path: inside.path, file: None }) };
-            let blob = self.take(&path.join(&inside.path))?;
-            let file = FolderFile { digest: blob.digest, bytes: blob.bytes, executable: stat.executable };
-            Ok::<_, StoreError>(FolderEntry { path: inside.path, file: Some(file) })
+            let what = match inside.what {
+                What::File(stat) => {
+                    let at = path.join(&inside.path);
+                    fsx::be_a_file(&at)?;
+                    let blob = self.take(&at)?;
+                    let (digest, bytes) = (blob.digest, blob.bytes);
+                    Part::File(FolderFile { digest, bytes, executable: stat.executable })
+                }
+                What::Empty => Part::Empty,
+                What::Link(to) => Part::Link(to),
+            };
+            Ok::<_, StoreError>(FolderEntry { path: inside.path, what })
         });
         let folder = Folder::new(taken.collect::<Result<_, _>>()?);
         self.take_list(&folder, &path.with_extension("list"))
@@ -251,21 +282,24 @@ impl Store {
         Ok(true)
     }
 
-    /// Makes the folder of that name at `to`, with read-only files.
+    /// As [`Store::folder`], of one that a stage is to read.
+    pub(super) fn folder_to_read(&self, digest: &Digest) -> Result<Folder, StoreError> {
+        self.folder(digest)?.ok_or_else(|| StoreError::Missing(self.blob_path(digest)))
+    }
+
+    /// Makes the folder of that name at `to`, of links to the contents themselves. For stages of our own kinds, which
+    /// write into no input; see [`Store::copy_out_folder`] for programs.
     ///
     /// # Errors
     /// Something of it is not in the store any more, or `to` cannot be written.
     pub fn lay_out(&self, digest: &Digest, to: &Path) -> Result<(), StoreError> {
-        let Some(folder) = self.folder(digest)? else {
-            let path = self.blob_path(digest);
-            let error = std::io::Error::other("the list of a folder is missing or damaged: run again");
-            return Err(FsError::at("read", &path)(error).into());
-        };
+        let folder = self.folder_to_read(digest)?;
         fsx::create_dir_all(to)?;
-        for FolderEntry { path, file } in folder.entries() {
-            match file {
-                Some(file) => fsx::put(&self.blob_path(&file.digest), &to.join(path), file.executable)?,
-                None => fsx::create_dir_all(&to.join(path))?,
+        for FolderEntry { path, what } in folder.entries() {
+            match what {
+                Part::File(file) => fsx::put(&self.blob_path(&file.digest), &to.join(path), file.executable)?,
+                Part::Empty => fsx::create_dir_all(&to.join(path))?,
+                Part::Link(target) => fsx::symlink_into(target, &to.join(path))?,
             }
         }
         Ok(())

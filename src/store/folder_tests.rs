@@ -9,7 +9,7 @@ use super::*;
 fn file(path: &str, text: &str) -> FolderEntry {
     let file =
         FolderFile { digest: Digest::of(text.as_bytes()), bytes: text.len() as u64, executable: false };
-    FolderEntry { path: path.into(), file: Some(file) }
+    FolderEntry { path: path.into(), what: Part::File(file) }
 }
 
 fn store() -> (tempfile::TempDir, Store) {
@@ -20,9 +20,10 @@ fn store() -> (tempfile::TempDir, Store) {
 
 #[test]
 fn the_list_of_a_folder_stays_the_same_for_ever() {
-    let mut tool = file("bin/tool", "#!");
-    tool.file.as_mut().unwrap().executable = true;
-    let empty = FolderEntry { path: "logs".into(), file: None };
+    let (digest, bytes) = (Digest::of(b"#!"), 2);
+    let what = Part::File(FolderFile { digest, bytes, executable: true });
+    let tool = FolderEntry { path: "bin/tool".into(), what };
+    let empty = FolderEntry { path: "logs".into(), what: Part::Empty };
     let odd =
         FolderEntry { path: PathBuf::from(OsString::from_vec(b"a b\n%\xff".to_vec())), ..file("", "x") };
     let folder = Folder::new(vec![empty, tool, odd, file("data/a.csv", "1,2\n")]);
@@ -42,26 +43,41 @@ fn a_folder_comes_back_as_it_was() {
     let made = place.path().join("made");
     std::fs::create_dir_all(made.join("deep/er")).unwrap();
     std::fs::create_dir(made.join("empty")).unwrap();
+    for (link, to) in
+        [("last", "run"), ("deep/up", "../run"), ("to-folder", "deep/er"), ("deep/er/own", "../er")]
+    {
+        std::os::unix::fs::symlink(to, made.join(link)).unwrap();
+    }
     std::fs::write(made.join("deep/er/a b"), "one").unwrap();
     std::fs::write(made.join("run"), "#!/bin/sh\n").unwrap();
     std::fs::set_permissions(made.join("run"), std::fs::Permissions::from_mode(0o755)).unwrap();
-    let before = fsx::walk(&made, Links::Refuse).unwrap();
+    let before = fsx::walk(&made, Links::Keep, &fsx::nothing).unwrap();
     let blob = store.take_folder(&made).unwrap();
     blob.sync().unwrap();
     let laid = place.path().join("laid");
     store.lay_out(&blob.digest, &laid).unwrap();
-    let after = fsx::walk(&laid, Links::Refuse).unwrap();
+    let after = fsx::walk(&laid, Links::Keep, &fsx::nothing).unwrap();
     let shape = |found: &[fsx::Inside]| {
         let mut shape: Vec<_> = found
             .iter()
-            .map(|inside| (inside.path.clone(), inside.file.map(|stat| (stat.bytes, stat.executable))))
+            .map(|inside| {
+                let what = match &inside.what {
+                    What::File(stat) => format!("{} {}", stat.bytes, stat.executable),
+                    other => format!("{other:?}"),
+                };
+                (inside.path.clone(), what)
+            })
             .collect();
         shape.sort();
         shape
     };
     assert_eq!(shape(&before), shape(&after));
     assert_eq!(std::fs::read_to_string(laid.join("deep/er/a b")).unwrap(), "one");
-    assert_eq!(before.len(), 3);
+    assert_eq!(before.len(), 7);
+    let own = place.path().join("copies");
+    store.copy_out_folder(&blob.digest, &own).unwrap();
+    assert_eq!(shape(&before), shape(&fsx::walk(&own, Links::Keep, &fsx::nothing).unwrap()));
+    assert_eq!(hash_folder(&own).unwrap().digest(), blob.digest);
 }
 
 #[test]
@@ -78,13 +94,77 @@ fn times_owners_and_the_order_of_making_do_not_matter() {
 }
 
 #[test]
-fn a_link_in_a_folder_is_refused_with_its_path() {
+fn a_link_is_kept_where_it_leads_inside_and_taken_for_its_file_where_it_leads_to_one_outside() {
     let (place, store) = store();
-    let folder = place.path().join("made");
-    std::fs::create_dir(&folder).unwrap();
-    std::os::unix::fs::symlink("/etc/hostname", folder.join("link")).unwrap();
-    let said = store.take_folder(&folder).unwrap_err().to_string();
-    assert!(said.contains("made/link") && said.contains("symbolic link"), "{said}");
+    let made = place.path().join("made");
+    std::fs::create_dir_all(made.join("a/b")).unwrap();
+    std::fs::write(made.join("a/f"), "inside").unwrap();
+    std::fs::write(place.path().join("outside"), "outside").unwrap();
+    for (link, to) in [
+        ("absolute", made.join("a/f")),
+        ("round", "a/../a/b/../f".into()),
+        ("a/b/chain", "../../absolute".into()),
+        ("a/up", made.clone()),
+        ("copied", place.path().join("outside")),
+    ] {
+        std::os::unix::fs::symlink(to, made.join(link)).unwrap();
+    }
+    let digest = store.take_folder(&made).unwrap().digest;
+    std::fs::remove_dir_all(&made).unwrap();
+    let folder = store.folder(&digest).unwrap().unwrap();
+    let link =
+        |path: &str| match &folder.entries().iter().find(|entry| entry.path == Path::new(path)).unwrap().what
+        {
+            Part::Link(to) => to.to_str().unwrap().to_owned(),
+            other => panic!("{path}: {other:?}"),
+        };
+    assert_eq!(["absolute", "round", "a/b/chain", "a/up"].map(link), ["a/f", "a/f", "../../absolute", ".."]);
+    let laid = place.path().join("laid");
+    store.copy_out_folder(&digest, &laid).unwrap();
+    for (file, text) in
+        [("round", "inside"), ("a/b/chain", "inside"), ("copied", "outside"), ("a/up/a/f", "inside")]
+    {
+        assert_eq!(std::fs::read_to_string(laid.join(file)).unwrap(), text, "{file}");
+    }
+}
+
+#[test]
+fn a_link_that_leads_nowhere_is_named_with_where_it_leads() {
+    let (place, store) = store();
+    for (to, expected) in
+        [("gone", "the link is broken"), ("link", "in a circle"), ("/etc", "a folder outside")]
+    {
+        let folder = place.path().join("made");
+        std::fs::create_dir(&folder).unwrap();
+        std::os::unix::fs::symlink(to, folder.join("link")).unwrap();
+        let said = store.take_folder(&folder).unwrap_err().to_string();
+        assert!(
+            said.contains("made/link") && said.contains(&format!("`{to}`")) && said.contains(expected),
+            "{said}"
+        );
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+}
+
+#[test]
+fn a_link_of_a_list_leads_to_no_place_outside_its_folder() {
+    let line = |to: &str, path: &str| format!("dril-folder 1\n{to} 0 l {path}\n");
+    for (to, path) in [("f", "a"), ("../f", "d/a"), ("..", "d/a"), ("d/e", "a")] {
+        assert!(Folder::parse(line(to, path).as_bytes()).is_ok(), "{to} {path}");
+    }
+    for (to, path) in [
+        ("../f", "a"),
+        ("/etc/passwd", "a"),
+        ("d/../f", "a"),
+        ("../../f", "d/a"),
+        (".", "a"),
+        ("", "a"),
+        ("f//g", "a"),
+    ] {
+        assert!(Folder::parse(line(to, path).as_bytes()).is_err(), "{to} {path}");
+    }
+    let through = format!("dril-folder 1\nd 0 l a\n{} 3 - a/b\n", Digest::of(b"abc"));
+    assert!(Folder::parse(through.as_bytes()).is_err(), "a file behind a link");
 }
 
 #[test]

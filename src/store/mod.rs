@@ -3,6 +3,7 @@
 
 mod blob;
 mod bundle;
+mod copies;
 mod digest;
 mod folder;
 mod history;
@@ -21,8 +22,9 @@ use std::path::{Path, PathBuf};
 
 pub use blob::{Blob, hash_file};
 pub use bundle::{Imported, Refusal};
+pub use copies::PrivateCopy;
 pub use digest::{Digest, Key, NotHex};
-pub use folder::{Folder, FolderEntry, FolderFile, hash_folder};
+pub use folder::{Folder, FolderEntry, FolderFile, Part, hash_folder};
 pub use history::History;
 pub use in_use::InUse;
 pub use past::{Fate, PastRun, RunEnd, StageOfRun};
@@ -64,6 +66,15 @@ pub enum StoreError {
     /// A file from outside is not what it was when the run was planned.
     #[error("`{}` was changed after the run was planned; run again", .0.display())]
     Changed(PathBuf),
+    /// A content that a stage was to read is not there any more.
+    #[error("the content `{}` is not in the store any more; run again, and the stage that made it runs too", .0.display())]
+    Missing(PathBuf),
+    /// A content that a stage was to read is not what its name says. It was put aside.
+    #[error(
+        "the content `{}` was damaged in the store and was moved to its `quarantine-v1/`; run again, and the stage that \
+         made it runs too", .0.display()
+    )]
+    Damaged(PathBuf),
 }
 
 /// Where contents and records are, in the store.

@@ -52,6 +52,9 @@ pub struct Stored {
     /// True for a folder: the content is then the list of its files (see [`Store::contents`](super::Store::contents)).
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub folder: bool,
+    /// True for a file that may be executed; those of a folder are marked in its list.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub executable: bool,
 }
 
 /// What was wired to one input.
@@ -75,6 +78,9 @@ pub struct RecordItem {
     pub labels: Labels,
     /// The name of its content.
     pub digest: Digest,
+    /// True where it may be executed and the stage can make use of that: it is part of the key then.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub executable: bool,
 }
 
 /// What made a record.

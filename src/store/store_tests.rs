@@ -22,11 +22,13 @@ fn sample() -> Record {
         bytes: 3,
         extension: "txt".into(),
         folder: false,
+        executable: false,
     };
     let item = |from: &str, labels: &[(&str, &str)]| RecordItem {
         from: from.into(),
         labels: labels.iter().map(|(axis, value)| ((*axis).into(), (*value).into())).collect(),
         digest: Digest::of(from.as_bytes()),
+        executable: false,
     };
     let input = |port: &str, many, items| RecordInput { port: port.into(), many, items };
     Record {

@@ -195,6 +195,9 @@ fn reasons(why: &[Reason]) -> String {
             Reason::Revision { old, new } => format!("revision {old} -> {new}"),
             Reason::Kind { old, new } => format!("kind {old} -> {new}"),
             Reason::Input { port, from, .. } => format!("{port} from {from}"),
+            Reason::Rights { port, from, executable } => {
+                format!("{port} from {from} executable: {executable}")
+            }
             Reason::Lost { output } => format!("lost {output}"),
             Reason::Damaged { .. } => "damaged".to_owned(),
         })

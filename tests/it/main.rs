@@ -28,12 +28,15 @@ mod language;
 mod limits;
 mod parse;
 mod plan;
+mod programs;
 mod prop;
 mod resolve;
 mod results;
 mod samples;
 mod scenario;
 mod sealed;
+mod size;
+mod survivors;
 #[cfg(feature = "stages")]
 mod thesis;
 mod tidy;

@@ -28,7 +28,7 @@ pub(in crate::cli) fn main(args: &LogArgs) -> Result<ExitCode, Error> {
         let (run, stages) = find(&store, word, &pattern, given.as_deref())?;
         for id in &stages {
             let Some(path) = run.log_of(id) else { continue };
-            let lines = fsx::tail(&path, args.tail.unwrap_or(LINES))?;
+            let lines = fsx::tail(&path, args.tail.unwrap_or(LINES), usize::MAX)?;
             if args.path {
                 text += &format!("{}\n", shown(&path));
             } else if args.json {

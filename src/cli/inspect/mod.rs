@@ -3,6 +3,7 @@
 pub(super) mod diff;
 pub(super) mod explain;
 pub(super) mod log;
+mod overview;
 mod pick;
 pub(super) mod runs;
 pub(super) mod show;

@@ -71,8 +71,8 @@ impl Viewer<'_> {
         for wire in &graph.stages[stage].inputs {
             for source in &wire.sources {
                 let (from, digest) = match &source.from {
-                    From::File { path, .. } => {
-                        (format!("file {path}"), self.plan.files.get(path).map(|file| file.digest))
+                    From::File { path, key, .. } => {
+                        (format!("file {path}"), self.plan.files.get(key).map(|file| file.digest))
                     }
                     From::Stage { stage, output } => {
                         let digest = match self.plan.verdict(*stage) {

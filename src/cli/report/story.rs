@@ -6,8 +6,9 @@ use std::path::Path;
 use super::{Ending, Left};
 use crate::cli::names::Names;
 use crate::cli::plan::Counts;
+use crate::cli::results::cut_names;
 use crate::cli::terminal::{
-    Style, Terminal, count, duration, estimate, print, print_error, printable, shown,
+    Style, Terminal, count, cut, duration, estimate, print, print_error, printable, shown,
 };
 use crate::exec::{Event, Outcome};
 use crate::plan::{Plan, Verdict};
@@ -16,6 +17,12 @@ use crate::store::Key;
 
 /// At most so many stages are named as skipped.
 const MOST_SKIPPED: usize = 8;
+
+/// At most so many results are named that get a shorter name.
+const MOST_NOTES: usize = 5;
+
+/// Longer errors are cut; the log has what a program printed.
+const LONGEST_ERROR: usize = 4000;
 
 /// A line (or a block of lines) and where it goes.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -89,6 +96,9 @@ impl<'g> Story<'g> {
         text += &format!(": {}, {cached} cached", count(self.total, "stage"));
         if run + depends > 0 {
             text += &format!(", {run} to run, {depends} behind; {}", count(threads, "thread"));
+            for note in cut_names(self.graph).iter().take(MOST_NOTES) {
+                text += &format!("\n  note: {note}");
+            }
         }
         text
     }
@@ -229,7 +239,7 @@ impl<'g> Story<'g> {
 
 /// A failed stage: the error, the end of its log, and where the whole log is.
 pub(super) fn failure(id: &str, error: &str, log_tail: &[String], log: &Path) -> String {
-    let error = printable(error.trim_end());
+    let error = cut(&printable(error.trim_end()), LONGEST_ERROR);
     let mut text = format!("error: stage `{id}` failed: {}", error.replace('\n', "\n  "));
     if !log_tail.is_empty() {
         text += "\n  the end of its log:";

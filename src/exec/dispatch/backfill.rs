@@ -97,13 +97,30 @@ impl Dispatcher<'_, '_> {
         let until = self.pace.until_free(free, wanted);
         let rate = self.pace.rate();
         let (shape, graph) = (self.shape, self.shape.graph);
+        let pool = &self.pool;
         let fits = |stage: StageIndex| {
-            let needs = graph.stages[stage].needs;
-            needs.threads.max(1) <= free && shape.order.own_cost(shape.graph, stage) * rate <= until
+            let node = &graph.stages[stage];
+            node.needs.threads.max(1) <= free
+                && pool.has(&node.resources)
+                && shape.order.own_cost(shape.graph, stage) * rate <= until
         };
         let found = self.ready.take_first(DEPTH, fits);
         self.pace.slipped.extend(found);
         found
+    }
+
+    /// Takes a stage of the queue that can start while `first` waits for a resource: one that asks for nothing of what the
+    /// first waits for, so that it is not kept waiting.
+    pub(super) fn pass_by(&mut self, first: StageIndex, free: usize) -> Option<StageIndex> {
+        let graph = self.shape.graph;
+        let (waits_for, pool) = (&graph.stages[first].resources, &self.pool);
+        let idle = self.running == 0;
+        self.ready.take_first(DEPTH, |stage| {
+            let node = &graph.stages[stage];
+            (idle || node.needs.threads.max(1) <= free)
+                && pool.has(&node.resources)
+                && !node.resources.keys().any(|name| waits_for.contains_key(name))
+        })
     }
 
     pub(super) fn own_cost(&self, stage: StageIndex) -> f64 {

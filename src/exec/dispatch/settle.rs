@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use super::{Dispatcher, State, TAIL};
+use super::{Dispatcher, State, TAIL, TAIL_WIDTH};
 use crate::exec::work::Failure;
 use crate::exec::{Cause, Event};
 use crate::plan::{self, Cached};
@@ -77,7 +77,10 @@ impl Dispatcher<'_, '_> {
             self.halted.get_or_insert(stage);
         }
         let log = self.journal.run().map(|run| run.log(&self.log_stem(stage))).unwrap_or_default();
-        let log_tail = crate::fsx::tail(&log, TAIL).unwrap_or_default();
+        let log_tail = match crate::fsx::tail(&log, TAIL, TAIL_WIDTH) {
+            Err(error) if !error.is_not_found() => vec![format!("({error})")],
+            tail => tail.unwrap_or_default(),
+        };
         self.journal.tell(&Event::StageFailed { stage, error, cause, log_tail, log });
     }
 

@@ -208,6 +208,11 @@ impl Variables {
         self.0.is_empty()
     }
 
+    /// The value of a variable, where it has one.
+    pub(super) fn value(&self, name: &str) -> Option<&str> {
+        self.0.get(name)?.as_deref()
+    }
+
     /// The values that are known.
     pub(super) fn values(&self) -> impl Iterator<Item = &str> {
         self.0.values().flatten().map(String::as_str)

@@ -6,6 +6,7 @@
 
 mod fields;
 mod run;
+mod shell;
 mod template;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -32,7 +33,8 @@ pub struct CommandParams {
     /// `{outputs.name}`, `{checkpoints}` and `{seed}` stand for paths and the seed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     run: Option<Vec<Word>>,
-    /// A text for `sh -eu` instead, with the same `{...}`; a `$` for the shell is written `$$`.
+    /// A text for a shell instead, with the same `{...}`; a `$` for the shell is written `$$`. A command that fails ends
+    /// the stage, also inside a pipe: the shell is `sh -eu`, and `bash -euo pipefail` where there is a pipe in the text.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     shell: Option<String>,
     /// Inputs that need more than their name in the command: a path in the working folder (`raw: data/raw.csv`; a folder
@@ -95,6 +97,7 @@ impl Describe for Command {
     const ABOUT: &'static str = "runs any program, with declared inputs and outputs";
     const SEEDED: bool = false;
     const ENVIRONMENT: Option<&'static str> = Some("env");
+    const TEXTS: &'static [&'static str] = &["run", "env"];
     type Params = CommandParams;
 
     fn check(params: &CommandParams, problems: &mut Problems) {

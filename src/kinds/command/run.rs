@@ -1,7 +1,7 @@
 //! What a command does when it runs: its inputs are laid out, the program is started, its outputs are collected.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::ffi::OsString;
+use std::ffi::{OsStr, OsString};
 use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command as Process, ExitStatus, Stdio};
@@ -9,6 +9,7 @@ use std::process::{Command as Process, ExitStatus, Stdio};
 use dril_stage_api::{Arity, Artifact, Ctx, Job, JobOutput, Prepared, StageError};
 use serde_json::json;
 
+use super::shell;
 use super::template::{self, Piece};
 use super::{Command, CommandParams};
 use crate::fsx::{self, Entry};
@@ -30,7 +31,10 @@ const INPUTS: &str = "inputs.json";
 pub(super) fn run(params: &CommandParams, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
     let mut prepared = prepare(params, ctx.job())?;
     let started = prepared.process.stdin(Stdio::null()).status();
-    let status = started.map_err(|error| prepared.not_started(&error))?;
+    let status = started.map_err(|error| {
+        let program = prepared.process.get_program().to_string_lossy();
+        StageError::failed(format!("cannot start `{program}`: {error}"))
+    })?;
     let finished = (prepared.finish)(status);
     if ctx.cancelled() && !status.success() { Err(StageError::Cancelled) } else { finished }
 }
@@ -39,33 +43,26 @@ pub(super) fn run(params: &CommandParams, ctx: &mut Ctx<'_>) -> Result<(), Stage
 pub(super) fn prepare(params: &CommandParams, job: &Job) -> Result<Prepared, StageError> {
     let work = job.scratch.clone();
     let inputs = lay_out(params, job, &work)?;
-    let texts = Texts { params, inputs: &inputs.paths, seed: job.seed.0 };
+    let texts = Texts { params, work: &work, inputs: &inputs, seed: job.seed.0 };
     let mut process = texts.process()?;
     process.current_dir(&work).env_clear();
     process.envs(environment(params, &texts, &work)?);
-    let before = inputs.sizes();
     let (params, outputs, line) = (params.clone(), job.outputs.clone(), shown(&process));
     let finish = move |status: ExitStatus| {
-        inputs.check_unchanged(&before)?;
         if status.success() { collect(&params, &outputs, &work) } else { Err(ended(&params, &line, status)) }
     };
     Ok(Prepared { process, finish: Box::new(finish) })
 }
 
-/// The inputs in the working folder.
-struct Laid {
-    /// By input, relative to the working folder.
-    paths: BTreeMap<&'static str, Vec<String>>,
-    /// The files themselves, with the name that the program knows each by.
-    files: Vec<(String, PathBuf)>,
-}
+/// Where each input lies, by its name, relative to the working folder.
+type Paths = BTreeMap<&'static str, Vec<String>>;
 
 /// Makes the working folder, with a link for each artifact.
-fn lay_out(params: &CommandParams, job: &Job, work: &Path) -> Result<Laid, StageError> {
+fn lay_out(params: &CommandParams, job: &Job, work: &Path) -> Result<Paths, StageError> {
     let mut folders = Folders { work, made: BTreeSet::new() };
     folders.make(Path::new("outputs"))?;
     let ports = Command::ports(params);
-    let mut laid = Laid { paths: BTreeMap::new(), files: Vec::new() };
+    let mut laid = Paths::new();
     let mut list = serde_json::Map::new();
     for input in &ports.inputs {
         let path = params.input_path(input.name);
@@ -75,11 +72,10 @@ fn lay_out(params: &CommandParams, job: &Job, work: &Path) -> Result<Laid, Stage
             let path = if input.arity == Arity::Many { format!("{path}/{number}") } else { path.clone() };
             folders.link(&item.path, &path)?;
             entries.push(json!({ "path": path, "labels": item.labels }));
-            laid.files.push((path.clone(), item.path.clone()));
             paths.push(path);
         }
         list.insert(input.name.to_owned(), entries.into());
-        laid.paths.insert(input.name, paths);
+        laid.insert(input.name, paths);
     }
     if ports.inputs.iter().any(|input| input.arity == Arity::Many) {
         let text = format!("{:#}\n", serde_json::Value::Object(list));
@@ -119,38 +115,12 @@ impl Folders<'_> {
     }
 }
 
-impl Laid {
-    /// Size and time of the last change of each file; of a folder, nothing.
-    fn sizes(&self) -> Vec<Option<(u64, i128)>> {
-        self.files.iter().map(|(_, path)| fsx::stamp(path)).collect()
-    }
-
-    /// Inputs are shared with all that read them. One that the program wrote to is broken for everybody, and is taken out
-    /// of the store, so that whoever needs it next has it made again.
-    fn check_unchanged(&self, before: &[Option<(u64, i128)>]) -> Result<(), StageError> {
-        let after = self.sizes();
-        let changed =
-            self.files.iter().zip(before.iter().zip(&after)).filter(|(_, (before, after))| before != after);
-        let mut names = Vec::new();
-        for ((name, path), _) in changed {
-            let _ = fsx::remove_file(path);
-            names.push(format!("`{name}`"));
-        }
-        if names.is_empty() {
-            return Ok(());
-        }
-        Err(StageError::failed(format!(
-            "the command changed its input {}, which is read-only and shared with other stages; the spoilt content was \
-             removed and is made again by the next run: let the command work on a copy",
-            names.join(" and ")
-        )))
-    }
-}
-
 /// Where the texts of a command get their paths from.
 struct Texts<'a> {
     params: &'a CommandParams,
-    inputs: &'a BTreeMap<&'static str, Vec<String>>,
+    /// The working folder.
+    work: &'a Path,
+    inputs: &'a Paths,
     seed: u64,
 }
 
@@ -158,9 +128,11 @@ impl Texts<'_> {
     /// The program with its arguments.
     fn process(&self) -> Result<Process, StageError> {
         if let Some(text) = &self.params.shell {
-            let mut process = Process::new("/bin/sh");
-            process.arg("-euc").arg(self.fill(text)?);
-            return Ok(process);
+            let path = self.params.env.value("PATH").map(|path| self.fill(path)).transpose()?;
+            let text = self.fill(text)?;
+            let script = self.work.with_file_name("shell-text");
+            return shell::process(&text, path.as_deref().map(OsStr::new), &script)
+                .map_err(StageError::failed);
         }
         let mut words = Vec::new();
         for word in self.params.run.iter().flatten() {
@@ -222,7 +194,9 @@ fn environment(
 fn ended(params: &CommandParams, line: &str, status: ExitStatus) -> StageError {
     let what = if params.shell.is_some() { "the shell" } else { line };
     let how = match (status.code(), status.signal()) {
-        (Some(127), _) if params.shell.is_some() => "exit code 127: a program in it was not found".to_owned(),
+        (Some(127), _) if params.shell.is_some() => {
+            "exit code 127: a program in it, or the interpreter of a script, was not found".to_owned()
+        }
         (Some(code), _) => format!("exit code {code}"),
         (None, Some(9)) => {
             "signal 9 (SIGKILL: by somebody, or by the system because memory ran out)".to_owned()
@@ -251,23 +225,17 @@ fn collect(
     let mut wrong = Vec::new();
     for (name, output) in &params.outputs {
         let path = params.output_path(name);
-        let expected = if output.artifact() == Artifact::Folder { "folder" } else { "file" };
-        let seen = match fsx::entry(&work.join(&path)).map_err(StageError::failed)? {
-            Some(Entry::File(_)) if expected == "file" => None,
-            Some(Entry::Folder) if expected == "folder" => None,
-            Some(Entry::File(_)) => Some("is a file"),
-            Some(Entry::Folder) => Some("is a folder"),
-            Some(Entry::Other) => Some("is a link or something else that is no file"),
-            None => Some("was not written"),
+        let is_folder = output.artifact() == Artifact::Folder;
+        let Some(place) = outputs.get(name) else {
+            wrong.push(format!("output `{name}` has no place"));
+            continue;
         };
-        match seen {
-            Some(seen) => wrong.push(format!("output `{name}` {seen}, expected a {expected} at `{path}`")),
-            None => match outputs.get(name) {
-                Some(output) => {
-                    fsx::rename(&work.join(&path), &output.path).map_err(StageError::failed)?;
-                }
-                None => wrong.push(format!("output `{name}` has no place")),
-            },
+        match written(&work.join(&path), is_folder, work) {
+            Ok(found) => fsx::rename(&found, &place.path).map_err(StageError::failed)?,
+            Err(seen) => {
+                let expected = if is_folder { "folder" } else { "file" };
+                wrong.push(format!("output `{name}` {seen}, expected a {expected} at `{path}`"));
+            }
         }
     }
     let mut left = Vec::new();
@@ -282,6 +250,40 @@ fn collect(
         ));
     }
     if wrong.is_empty() { Ok(()) } else { Err(StageError::failed(wrong.join("; "))) }
+}
+
+/// The file or folder at `path`, with links in and at it settled, ready to be moved away; or what is there instead.
+fn written(path: &Path, is_folder: bool, work: &Path) -> Result<PathBuf, String> {
+    let said = |error: fsx::FsError| format!("cannot be taken: {error}");
+    match (fsx::entry(path).map_err(said)?, is_folder) {
+        (Some(Entry::File(_)), false) => Ok(path.to_owned()),
+        (Some(Entry::Folder), true) => fsx::settle_links(path).map(|()| path.to_owned()).map_err(said),
+        (Some(Entry::File(_)), true) => Err("is a file".to_owned()),
+        (Some(Entry::Folder), false) => Err("is a folder".to_owned()),
+        (Some(Entry::Other), _) => written_as_link(path, is_folder, work),
+        (None, _) => Err("was not written".to_owned()),
+    }
+}
+
+/// As [`written`], of something that is neither file nor folder. A link is ordinary (`best.ckpt -> epoch-3.ckpt`) where it
+/// leads to a file, or to a folder of this stage.
+fn written_as_link(path: &Path, is_folder: bool, work: &Path) -> Result<PathBuf, String> {
+    let said = |error: fsx::FsError| format!("cannot be taken: {error}");
+    let Some(target) = fsx::link_target(path) else { return Err("is no regular file".to_owned()) };
+    let target = format!("is a link to `{}`", target.display());
+    let Some(real) = fsx::real(path) else {
+        return Err(format!("{target}, which is not there (the link is broken, or leads in a circle)"));
+    };
+    match (fsx::outside(&real).map_err(said)?, is_folder) {
+        (fsx::Outside::File(_), false) => fsx::be_a_file(path).map(|()| path.to_owned()).map_err(said),
+        (fsx::Outside::Folder, true) if fsx::real(work).is_some_and(|work| real.starts_with(work)) => {
+            fsx::remove_file(path).map_err(said)?;
+            fsx::settle_links(&real).map(|()| real).map_err(said)
+        }
+        (fsx::Outside::Folder, true) => Err(format!("{target}, a folder that is not of this stage: copy it")),
+        (fsx::Outside::File(_), true) => Err(format!("{target}, a file")),
+        (fsx::Outside::Folder, false) => Err(format!("{target}, a folder")),
+    }
 }
 
 /// What is still in `outputs/`; folders alone are nothing.

@@ -13,6 +13,7 @@ pub struct Kind {
     about: &'static str,
     seeded: bool,
     environment: Option<&'static str>,
+    texts: &'static [&'static str],
     seeded_by: fn(&Value) -> Result<bool, Vec<ParamProblem>>,
     schema: fn() -> schemars::Schema,
     normalize: fn(&Value) -> Result<Value, Vec<ParamProblem>>,
@@ -79,6 +80,7 @@ impl Kind {
             about: D::ABOUT,
             seeded: D::SEEDED,
             environment: D::ENVIRONMENT,
+            texts: D::TEXTS,
             seeded_by: seeded_by::<D>,
             schema: schema_of::<D>,
             normalize: normalize::<D>,
@@ -95,6 +97,12 @@ impl Kind {
             Run::Here(_) | Run::Outside(..) => None,
             Run::In(worker) => Some(worker),
         }
+    }
+
+    /// True where the work is another program's, started by the engine: what such a program does to the files that it
+    /// is given is in nobody's hands.
+    pub fn is_program(&self) -> bool {
+        matches!(self.run, Run::Outside(..))
     }
 
     /// The name after `kind:`.
@@ -128,6 +136,11 @@ impl Kind {
     /// See [`Describe::ENVIRONMENT`].
     pub fn environment(&self) -> Option<&'static str> {
         self.environment
+    }
+
+    /// See [`Describe::TEXTS`].
+    pub fn texts(&self) -> &'static [&'static str] {
+        self.texts
     }
 
     /// The JSON Schema of its parameters.

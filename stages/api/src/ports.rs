@@ -66,6 +66,8 @@ pub struct Outside {
     pub path: String,
     /// The content that it must have, as 64 hexadecimal digits of blake3.
     pub blake3: Option<String>,
+    /// What of a folder is left out: globs of names, or of paths relative to the folder where they have a `/`.
+    pub exclude: Vec<String>,
 }
 
 /// A port's name that comes from the parameters of a stage, as long-lived as one that is written in the code: wires,

@@ -33,6 +33,8 @@ pub trait Describe: 'static {
     const RENAMED: &'static [(&'static str, &'static str)] = &[];
     /// Parameters that are no more, with a sentence on what to do instead.
     const REMOVED: &'static [(&'static str, &'static str)] = &[];
+    /// Parameters in which every number, at any depth, is a text to the kind and is taken as it is written: 3.10 stays 3.10.
+    const TEXTS: &'static [&'static str] = &[];
 
     /// What stands under `with:`. Unknown fields must be denied (`#[serde(deny_unknown_fields)]`); every field that
     /// has a default should say so with `#[serde(default)]`, and doc comments appear in `dril-pipe kinds`.
@@ -97,23 +99,6 @@ pub struct Prepared {
 
 /// See [`Prepared::finish`].
 pub type Finish = Box<dyn FnOnce(ExitStatus) -> Result<(), StageError> + Send>;
-
-impl Prepared {
-    /// Why it could not be started, and what to do.
-    pub fn not_started(&self, error: &std::io::Error) -> StageError {
-        let program = self.process.get_program().to_string_lossy();
-        let mend = match error.kind() {
-            std::io::ErrorKind::NotFound => {
-                "is it installed, and on the PATH? a script is an input, run by its interpreter"
-            }
-            std::io::ErrorKind::PermissionDenied => {
-                "inputs are no programs: run a script by its interpreter, as in `[python3, \"{inputs.script}\"]`"
-            }
-            _ => "give a program that this system can run",
-        };
-        StageError::failed(format!("cannot start `{program}`: {error}; {mend}"))
-    }
-}
 
 impl std::fmt::Debug for Prepared {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {

@@ -1,0 +1,183 @@
+//! Private copies of contents, for programs that may do with their inputs what they like: nothing that is done to a copy
+//! reaches the store, whoever the user is and whatever rights the program takes for itself.
+//!
+//! Where the file system shares blocks between files (btrfs, XFS, bcachefs, ZFS since 2.2), a copy costs nothing. Elsewhere
+//! its bytes are read, hashed and written, so that a content that was damaged is found before a program reads it.
+
+use std::path::{Path, PathBuf};
+
+use rayon::prelude::*;
+
+use super::folder::{FolderEntry, Part};
+use super::{Digest, Store, StoreError};
+use crate::fsx::{self, FsError, Made};
+
+/// Folders with at least so many files are copied by several threads.
+const SIDE_BY_SIDE: usize = 64;
+
+/// A file that was copied, and what it was like then.
+#[derive(Debug)]
+pub struct PrivateCopy {
+    path: PathBuf,
+    digest: Digest,
+    made: Made,
+}
+
+impl PrivateCopy {
+    /// Keeps it apart from a file that takes its place: one that is removed leaves its number to the next.
+    ///
+    /// # Errors
+    /// It is not there any more.
+    pub fn hold(&mut self) -> fsx::Result<()> {
+        self.made.hold(&self.path)
+    }
+
+    /// Where it was put.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// True where the file that was put there has another content by now. One that is gone, or that another file has taken
+    /// the place of, was not written to.
+    ///
+    /// # Errors
+    /// It is there and cannot be read.
+    pub fn was_changed(&self) -> fsx::Result<bool> {
+        let Some(now) = self.made.now(&self.path)?.filter(|now| *now != self.made.stat) else {
+            return Ok(false);
+        };
+        // Its rights or times may be all that changed.
+        Ok(now.bytes != self.made.stat.bytes || super::hash_file(&self.path)?.0 != self.digest)
+    }
+}
+
+impl Store {
+    /// Copies a content to the new file `to`, read-only, and executable where that is wanted.
+    ///
+    /// # Errors
+    /// It is missing or damaged, or `to` cannot be written. A damaged content is put aside, so that it is made again.
+    pub fn copy_out(&self, digest: &Digest, to: &Path, executable: bool) -> Result<PrivateCopy, StoreError> {
+        let from = self.blob_path(digest);
+        let source = match fsx::open(&from) {
+            Err(error) if error.is_not_found() => return Err(StoreError::Missing(from)),
+            source => source?,
+        };
+        let mode = if executable { 0o555 } else { 0o444 };
+        let made = match fsx::clone_file(&source, to, mode)? {
+            Some(made) => made,
+            None => {
+                let mut hashing = super::blob::Hashing::new(source);
+                let made = fsx::copy_with_mode(&mut hashing, &from, to, mode)?;
+                if hashing.digest() != *digest {
+                    fsx::remove_file(to)?;
+                    return Err(self.put_aside(from)?);
+                }
+                made
+            }
+        };
+        Ok(PrivateCopy { path: to.to_owned(), digest: *digest, made })
+    }
+
+    /// Makes the folder of that name at `to`, of private copies.
+    ///
+    /// # Errors
+    /// As [`Store::copy_out`].
+    pub fn copy_out_folder(&self, digest: &Digest, to: &Path) -> Result<Vec<PrivateCopy>, StoreError> {
+        let folder = self.folder_to_read(digest)?;
+        fsx::create_dir_all(to)?;
+        let mut made = Path::new("");
+        for FolderEntry { path, what } in folder.entries() {
+            let above = if *what == Part::Empty { path } else { path.parent().unwrap_or(Path::new("")) };
+            // Sorted by path, so that those in one folder mostly stand together.
+            if above != made {
+                fsx::create_dir_all(&to.join(above))?;
+                made = above;
+            }
+            if let Part::Link(target) = what {
+                fsx::symlink(target, &to.join(path))?;
+            }
+        }
+        let files: Vec<_> = folder.files().collect();
+        let one = |(path, file): &(&Path, super::FolderFile)| {
+            self.copy_out(&file.digest, &to.join(path), file.executable)
+        };
+        if files.len() < SIDE_BY_SIDE {
+            files.iter().map(one).collect()
+        } else {
+            files.par_iter().map(one).collect()
+        }
+    }
+
+    /// Moves a content that is not what its name says out of the way, so that whoever wants it makes it again.
+    fn put_aside(&self, path: PathBuf) -> Result<StoreError, FsError> {
+        let name = path.strip_prefix(self.root()).unwrap_or(&path).to_string_lossy().replace('/', "-");
+        match fsx::rename_into(&path, &self.root().join("quarantine-v1").join(name)) {
+            // Somebody was quicker.
+            Err(error) if error.is_not_found() => {}
+            result => drop(result?),
+        }
+        Ok(StoreError::Damaged(path))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write;
+
+    use super::*;
+
+    fn store_with(content: &[u8]) -> (tempfile::TempDir, Store, Digest) {
+        let place = tempfile::tempdir().unwrap();
+        let store = Store::open(&place.path().join("store")).unwrap();
+        let draft = place.path().join("draft");
+        fsx::write(&draft, content).unwrap();
+        let digest = store.take(&draft).unwrap().digest;
+        (place, store, digest)
+    }
+
+    fn overwrite(path: &Path, bytes: &[u8]) {
+        let mut rights = std::fs::metadata(path).unwrap().permissions();
+        std::os::unix::fs::PermissionsExt::set_mode(&mut rights, 0o644);
+        std::fs::set_permissions(path, rights).unwrap();
+        std::fs::OpenOptions::new().write(true).open(path).unwrap().write_all(bytes).unwrap();
+    }
+
+    #[test]
+    fn what_is_done_to_a_copy_is_noticed_and_does_not_reach_the_store() {
+        let (place, store, digest) = store_with(b"content");
+        let copy = store.copy_out(&digest, &place.path().join("copy"), false).unwrap();
+        assert!(!copy.was_changed().unwrap());
+        let modified = std::fs::metadata(copy.path()).unwrap().modified().unwrap();
+        std::thread::sleep(std::time::Duration::from_millis(15));
+        // As many bytes as before, and the time put back.
+        overwrite(copy.path(), b"CONTENT");
+        std::fs::File::options().write(true).open(copy.path()).unwrap().set_modified(modified).unwrap();
+        assert!(copy.was_changed().unwrap());
+        assert_eq!(fsx::read(&store.blob_path(&digest)).unwrap(), b"content");
+    }
+
+    #[test]
+    fn other_rights_and_another_file_in_its_place_are_no_change_of_a_copy() {
+        let (place, store, digest) = store_with(b"content");
+        let mut copy = store.copy_out(&digest, &place.path().join("copy"), true).unwrap();
+        copy.hold().unwrap();
+        std::thread::sleep(std::time::Duration::from_millis(15));
+        overwrite(copy.path(), b"");
+        assert!(!copy.was_changed().unwrap());
+        std::fs::remove_file(copy.path()).unwrap();
+        assert!(!copy.was_changed().unwrap());
+        fsx::write(copy.path(), b"another").unwrap();
+        assert!(!copy.was_changed().unwrap());
+    }
+
+    #[test]
+    fn a_damaged_content_is_never_given_out_and_is_put_aside() {
+        let (place, store, digest) = store_with(b"content");
+        overwrite(&store.blob_path(&digest), b"CONTENT");
+        let to = place.path().join("copy");
+        assert!(matches!(store.copy_out(&digest, &to, false), Err(StoreError::Damaged(_))));
+        assert!(!to.exists() && !store.blob_path(&digest).exists());
+        assert_eq!(fsx::list(&store.root().join("quarantine-v1")).unwrap().len(), 1);
+        assert!(matches!(store.copy_out(&digest, &to, false), Err(StoreError::Missing(_))));
+    }
+}
