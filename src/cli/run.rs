@@ -11,7 +11,7 @@ use super::lockfile::{self, Keys, LockFile};
 use super::pipeline::Reading;
 use super::report::{self, Ending, Left};
 use super::unchanged::Circumstances;
-use super::{checked, pipeline, results, signals};
+use super::{checked, page, pipeline, results, signals};
 use crate::error::{Error, ErrorKind, exit_codes};
 use crate::exec::{self, ChildRunner, Executed, Options};
 use crate::fsx;
@@ -78,6 +78,7 @@ pub(super) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Erro
         exit_code: code,
     };
     reporter.ended(&ending);
+    page::after_run(args, selected.all(), &store, &folder);
     if args.check_determinism && code == exit_codes::OK {
         drop(reporter);
         code = checked::main(args, graph, &store, &runner, &options, &stop)?;

@@ -6,6 +6,7 @@
 //! - [`Ctx`] is all that a running stage sees: seed, inputs, outputs, progress, checkpoint folder, cancellation.
 //! - [`Job`] is the same as a file, as the engine writes it for the child process that runs the stage.
 //! - [`Reply`] is how a subcommand that a stage crate brings along ends.
+//! - [`outcome`] is a pipeline with its results, for whoever writes a page about them.
 //! - [`scores`] is the one artifact format that several stage crates share.
 //!
 //! This crate knows nothing of YAML, keys or the cache, and depends on no other package of the workspace.
@@ -16,6 +17,7 @@ mod error;
 mod job;
 mod kind;
 mod needs;
+pub mod outcome;
 mod params;
 mod ports;
 mod progress;
