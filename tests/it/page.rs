@@ -26,7 +26,10 @@ fn a_run_ends_with_a_page_and_says_where() {
     let quick = run(&sealed, "report p.yaml --profile quick");
     assert_eq!(quick.stdout, "report: results/words-quick/report.html\n");
     let page = sealed.read("results/words-quick/report.html");
-    assert!(page.contains("words quick of full, p.yaml --profile quick") && page.contains("count[one]: Stale"), "{page}");
+    assert!(
+        page.contains("words quick of full, p.yaml --profile quick") && page.contains("count[one]: Stale"),
+        "{page}"
+    );
     assert!(page.contains("gather: Waiting"), "{page}");
 }
 
@@ -46,7 +49,10 @@ fn a_page_of_somebody_else_is_left_alone() {
     sealed.write("results/words-full/report.html", "mine");
     let done = run(&sealed, "run p.yaml");
     assert_eq!(done.code, 0);
-    assert!(done.stderr.contains("warning: no report was written") && done.stderr.contains("--out"), "{done:?}");
+    assert!(
+        done.stderr.contains("warning: no report was written") && done.stderr.contains("--out"),
+        "{done:?}"
+    );
     let refused = run(&sealed, "report p.yaml");
     assert_eq!(refused.code, 4, "{refused:?}");
     assert_eq!(sealed.read("results/words-full/report.html"), "mine");

@@ -155,7 +155,7 @@ impl<'a> Chart<'a> {
         let axes = self.axes();
         let lines = 1 + layout::grid(self.params, self.data).iter().map(|(line, _)| *line).max().unwrap_or(0);
         let plot = match (self.is_interval(), lines) {
-            (true, _) => 8 + self.categories.len() as i32 * 17,
+            (true, _) => 8 + self.categories.len() as i32 * (9 * self.data.series.len() as i32 + 5).max(17),
             (_, 1) if self.data.panels.len() == 1 => 260,
             (_, 1) => 190,
             (_, 2 | 3) => 140,

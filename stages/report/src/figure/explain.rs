@@ -106,7 +106,8 @@ fn points(chart: &Chart<'_>) -> String {
 
 /// How many rows lie outside of what is shown.
 fn outside(chart: &Chart<'_>) -> usize {
-    let beyond = |range: Option<[f64; 2]>, value: f64| range.is_some_and(|[low, high]| value < low || value > high);
+    let beyond =
+        |range: Option<[f64; 2]>, value: f64| range.is_some_and(|[low, high]| value < low || value > high);
     let range = &chart.params.range;
     let shapes = chart.contents.iter().flat_map(|content| &content.shapes);
     let points = shapes.filter_map(|drawn| match &drawn.shape {

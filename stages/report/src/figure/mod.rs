@@ -61,7 +61,7 @@ impl Describe for Figure {
             .many(data::PORT, Artifact::File, "CSV files with a header; their labels say where each belongs")
             .optional(reference::PORT, Artifact::File, "published values: a CSV file of the labels and mean")
             .output("svg", Artifact::Figure, "svg", "the figure")
-            .output("csv", Artifact::File, "csv", "what it draws, one line a mark")
+            .output("csv", Artifact::Table, "csv", "what it draws, one line a mark")
     }
 }
 

@@ -50,8 +50,12 @@ fn figure(stage: &StageOutcome, output: &OutputOutcome, room: &mut Room) -> Resu
                 None => p { "Too large for this page" @if output.file.is_some() { ": " (link(output)) } "." },
             }
             figcaption {
-                @if stage.kind != "figure" { (title) " " }
-                "Stage " code { (stage.id) } @if output.file.is_some() { ": " (link(output)) }
+                @if stage.kind != "figure" { (title) ". " }
+                "Stage " code { (stage.id) }
+                @if output.file.is_some() { ": " (link(output)) }
+                @for data in stage.outputs.iter().filter(|other| stage.kind == "figure" && other.name == "csv") {
+                    @if data.file.is_some() { ", " (link(data)) }
+                }
             }
         }
     })

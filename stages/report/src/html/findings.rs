@@ -81,11 +81,12 @@ fn table(csv: &Csv, caption: &str) -> Markup {
 
 /// `12 ± 3`; without an upper end only the mean.
 fn around(mean: Option<f64>, high: Option<f64>) -> String {
-    match (mean, high) {
+    let text = match (mean, high) {
         (Some(mean), Some(high)) => format!("{} ± {}", rounded(mean), rounded(high - mean)),
         (Some(mean), None) => rounded(mean),
         _ => String::new(),
-    }
+    };
+    text.replace('-', "−")
 }
 
 /// The number, and its interval on a scale that all claims share, with 0 in the middle.

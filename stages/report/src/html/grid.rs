@@ -74,12 +74,18 @@ impl Cell {
             .distance()
             .map(|distance| format!("{} standard errors from the published value", fixed(distance, 1)));
         html! {
-            span title=[far] { (mark) (rounded(self.mean)) " ± " (rounded(self.std)) }
+            span title=[far] { (mark) (score(self.mean, Some(self.std))) }
             @if let Some((mean, std)) = self.reference {
-                span class="ref" { (rounded(mean)) @if let Some(std) = std { " ± " (rounded(std)) } }
+                span class="ref" { (score(mean, std)) }
             }
         }
     }
+}
+
+/// `−12 ± 3`.
+fn score(mean: f64, std: Option<f64>) -> String {
+    let std = std.map_or_else(String::new, |std| format!(" ± {}", rounded(std)));
+    rounded(mean).replace('-', "−") + &std
 }
 
 /// From −3 to 3: beyond one, two and three standard errors.

@@ -85,7 +85,8 @@ fn parameters(group: &[&StageOutcome]) -> Markup {
 
 fn instances(group: &[&StageOutcome]) -> Markup {
     let axes: Vec<&str> = group[0].labels.iter().map(|(axis, _)| axis.as_str()).collect();
-    let has_seed = group.iter().any(|stage| stage.seed.is_some());
+    // An axis of that name says it already.
+    let has_seed = group.iter().any(|stage| stage.seed.is_some()) && !axes.contains(&"seed");
     let more = group.len().saturating_sub(MOST_INSTANCES);
     html! {
         div class="wide" tabindex="0" role="region" aria-label=(format!("Instances of {}", group[0].name)) {

@@ -13,7 +13,8 @@ const MOST_TABLES: usize = 40;
 /// The tables of results, but for those that have sections of their own.
 fn tables(outcome: &Outcome) -> Vec<(&StageOutcome, &OutputOutcome)> {
     made(outcome, |stage, output| {
-        output.artifact == Artifact::Table && output.extension == "csv" && stage.kind != "findings"
+        let has_its_own_section = ["findings", "figure"].contains(&stage.kind.as_str());
+        output.artifact == Artifact::Table && output.extension == "csv" && !has_its_own_section
     })
 }
 

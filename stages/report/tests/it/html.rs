@@ -113,7 +113,15 @@ impl Lab {
         bench.run().unwrap();
         let read = |output: &str| std::fs::read(bench.output(output).unwrap()).unwrap();
         let at = match kind {
-            "figure" => self.stage(name, kind, &[], &[("svg", Artifact::Figure, "svg", &read("svg"))]),
+            "figure" => self.stage(
+                name,
+                kind,
+                &[],
+                &[
+                    ("svg", Artifact::Figure, "svg", &read("svg")),
+                    ("csv", Artifact::Table, "csv", &read("csv")),
+                ],
+            ),
             _ => self.stage(name, kind, &[], &[("csv", Artifact::Table, "csv", &read("csv"))]),
         };
         self.outcome.stages[at].params = bench.job().params.clone();
