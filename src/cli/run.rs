@@ -54,12 +54,10 @@ pub(super) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Erro
     })?;
     let folder = args.out.clone().unwrap_or_else(|| results::default_folder(graph));
     let place = |stage| executed.outputs(selected.place(stage)?);
-    let published = results::publish(&folder, selected.all(), &store, place);
-    let mut error = None;
-    let published = published.unwrap_or_else(|failed| {
-        error = Some(failed);
-        None
-    });
+    let (published, mut error) = match results::publish(&folder, selected.all(), &store, place) {
+        Ok(published) => (published, None),
+        Err(failed) => (None, Some(failed)),
+    };
     if error.is_none() && selected.whole.is_none() {
         error = lock.settle(graph, &executed).err();
     }

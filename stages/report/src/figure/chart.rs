@@ -192,8 +192,10 @@ impl<'a> Chart<'a> {
             paint::write(&canvas, line, tenths((12, *y)), Words { size: 140, bold: true, ..WORDS })?;
         }
         self.legend(&canvas, layout)?;
-        for (heading, at) in &layout.headings {
-            paint::write(&canvas, heading, tenths(*at), Words { bold: true, ..WORDS })?;
+        for (headings, bold) in layout.headings.iter().zip([true, false]) {
+            for (heading, at) in headings {
+                paint::write(&canvas, heading, tenths(*at), Words { bold, ..WORDS })?;
+            }
         }
         for ((place, content), (x, y)) in layout.panels.iter().zip(&self.contents).zip(axes) {
             self.panel(&canvas, *place, content, (x, y))?;

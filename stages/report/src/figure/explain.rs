@@ -74,13 +74,7 @@ pub(crate) fn notes(chart: &Chart<'_>) -> Vec<String> {
         let mut letters = text.chars();
         notes.extend(letters.next().map(|first| format!("{}{}.", first.to_uppercase(), letters.as_str())));
     }
-    let list = |labels: &[String]| labels.join(" · ");
-    match (params.rows.len(), params.columns.len()) {
-        (0, 0) => {}
-        (0, _) => notes.push(format!("Panels: {}.", list(&params.columns))),
-        (_, 0) => notes.push(format!("Rows: {}.", list(&params.rows))),
-        _ => notes.push(format!("Rows: {}; columns: {}.", list(&params.rows), list(&params.columns))),
-    }
+    notes.extend(panels(&params.rows, &params.columns));
     if !params.profile.is_empty() && params.profile != params.full_profile {
         notes.push(format!("Made at profile {}: sizes are reduced, values say nothing.", params.profile));
     }
@@ -88,6 +82,17 @@ pub(crate) fn notes(chart: &Chart<'_>) -> Vec<String> {
         notes.push(crate::markdown::one_line(&params.note));
     }
     notes
+}
+
+/// What tells panels apart.
+fn panels(rows: &[String], columns: &[String]) -> Option<String> {
+    let (down, across) = (rows.join(" · "), columns.join(" · "));
+    match (rows.is_empty(), columns.is_empty()) {
+        (true, true) => None,
+        (true, false) => Some(format!("Panels: {across}.")),
+        (false, true) => Some(format!("Rows: {down}.")),
+        (false, false) => Some(format!("Rows: {down}; columns: {across}.")),
+    }
 }
 
 fn points(chart: &Chart<'_>) -> String {

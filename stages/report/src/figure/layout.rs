@@ -34,6 +34,9 @@ pub(crate) struct Place {
     pub(crate) x_labels: bool,
 }
 
+/// A text and the place of its baseline.
+pub(crate) type Written = (String, (i32, i32));
+
 /// The whole canvas.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Layout {
@@ -43,8 +46,8 @@ pub(crate) struct Layout {
     pub(crate) legend: Vec<Key>,
     /// What the legend's colours stand for, and where.
     pub(crate) legend_title: Option<(String, (i32, i32))>,
-    /// The names of rows and columns, with the places of their baselines.
-    pub(crate) headings: Vec<(String, (i32, i32))>,
+    /// The names of columns (and of panels that stand in no grid) and those of rows.
+    pub(crate) headings: [Vec<Written>; 2],
     pub(crate) panels: Vec<Place>,
     /// The upper end of the text under the panels; its lines.
     pub(crate) notes: Vec<(String, i32)>,
@@ -160,10 +163,10 @@ impl Names {
         if self.is_grid { (over, 1) } else { (0, over) }
     }
 
-    fn placed(&self, grid: &[(usize, usize)], panels: &[Place]) -> Vec<(String, (i32, i32))> {
-        let mut names = Vec::new();
+    fn placed(&self, grid: &[(usize, usize)], panels: &[Place]) -> [Vec<Written>; 2] {
+        let (mut over, mut beside) = (Vec::new(), Vec::new());
         for (n, place) in panels.iter().enumerate() {
-            let mut write = |lines: &[String], above: i32| {
+            let write = |lines: &[String], above: i32, names: &mut Vec<Written>| {
                 for (k, text) in lines.iter().rev().enumerate() {
                     let up = 5 + above + k as i32 * (LINE - 2);
                     names.push((text.clone(), (place.left, place.top - up)));
@@ -171,15 +174,15 @@ impl Names {
             };
             let is_first_of_row = !grid[..n].iter().any(|(line, _)| *line == grid[n].0);
             if !self.is_grid {
-                write(&self.over[n], 0);
+                write(&self.over[n], 0, &mut over);
             } else if grid[n].0 == 0 {
-                write(&self.over[n], LINE - 2);
+                write(&self.over[n], LINE - 2, &mut over);
             }
             if self.is_grid && is_first_of_row {
-                write(&self.beside[n], 0);
+                write(&self.beside[n], 0, &mut beside);
             }
         }
-        names
+        [over, beside]
     }
 }
 

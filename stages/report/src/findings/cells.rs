@@ -97,13 +97,19 @@ pub(crate) fn pairs<'c>(claim: &'c Claim, cells: &'c [Cell]) -> Result<Vec<Pair<
             pairs[at].right.push(cell);
         }
     }
+    check(claim, &pairs)?;
+    Ok(pairs)
+}
+
+/// Refuses pairs of which a side is empty, or holds several cells that nothing chooses from.
+fn check(claim: &Claim, pairs: &[Pair<'_>]) -> Result<(), StageError> {
     let failed = |what: String| StageError::failed(format!("claim `{}`: {what}", claim.claim));
     if pairs.is_empty() {
         return Err(failed(
             "no evaluation is on either side; see the labels in `left`, `right` and `where`".into(),
         ));
     }
-    for pair in &pairs {
+    for pair in pairs {
         let labels = pair
             .shared
             .iter()
@@ -125,5 +131,5 @@ pub(crate) fn pairs<'c>(claim: &'c Claim, cells: &'c [Cell]) -> Result<Vec<Pair<
             }
         }
     }
-    Ok(pairs)
+    Ok(())
 }
