@@ -45,7 +45,7 @@ pub(crate) struct Layout {
     pub(crate) title: Vec<(String, i32)>,
     pub(crate) legend: Vec<Key>,
     /// What the legend's colours stand for, and where.
-    pub(crate) legend_title: Option<(String, (i32, i32))>,
+    pub(crate) legend_title: Option<Written>,
     /// The names of columns (and of panels that stand in no grid) and those of rows.
     pub(crate) headings: [Vec<Written>; 2],
     pub(crate) panels: Vec<Place>,
@@ -225,7 +225,7 @@ pub(crate) fn layout(params: &FigureParams, data: &Data, wishes: &Wishes) -> Lay
 }
 
 /// The legend, from `y` on: none for one series; in lines as long as the canvas is wide.
-fn legend(data: &Data, mut y: i32) -> (Option<(String, (i32, i32))>, Vec<Key>, i32) {
+fn legend(data: &Data, mut y: i32) -> (Option<Written>, Vec<Key>, i32) {
     if data.series.len() < 2 {
         return (None, Vec::new(), y);
     }

@@ -79,7 +79,7 @@ fn fill(colour: RGBColor, opacity: f64) -> ShapeStyle {
 pub(crate) fn shape(canvas: &Canvas<'_>, map: &Map<'_>, drawn: &Drawn) -> Painted {
     let ink = Ink::Series(drawn.series);
     // One line over its own dots must stand out from them.
-    let line_ink = if map.alone && drawn.layer != "line" || !map.alone { ink } else { Ink::Text };
+    let line_ink = if map.alone && drawn.layer == "line" { Ink::Text } else { ink };
     match &drawn.shape {
         Shape::Points(points) => {
             let (left, top, right, bottom) = map.frame;

@@ -97,6 +97,9 @@ fn base64(bytes: &[u8]) -> String {
     text
 }
 
+/// The outputs of one name, with the stages that made them.
+type Members<'o> = Vec<(&'o StageOutcome, &'o OutputOutcome)>;
+
 /// Scores and training logs that no figure of the pipeline reads, drawn without being asked.
 pub(crate) fn automatic(outcome: &Outcome, room: &mut Room) -> Result<Option<Section>, StageError> {
     let drawn = |name: &str, output: &str| {
@@ -110,7 +113,7 @@ pub(crate) fn automatic(outcome: &Outcome, room: &mut Room) -> Result<Option<Sec
     let wanted = [Artifact::Scores, Artifact::TrainingLog];
     let all =
         made(outcome, |stage, output| wanted.contains(&output.artifact) && !drawn(&stage.name, &output.name));
-    let mut groups: Vec<(&str, &str, Vec<(&StageOutcome, &OutputOutcome)>)> = Vec::new();
+    let mut groups: Vec<(&str, &str, Members<'_>)> = Vec::new();
     for (stage, output) in all {
         match groups.iter_mut().find(|(name, port, _)| *name == stage.name && *port == output.name) {
             Some((_, _, members)) => members.push((stage, output)),

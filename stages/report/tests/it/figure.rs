@@ -49,7 +49,7 @@ fn corners(data: &str) -> Vec<(f64, f64)> {
     for piece in data.split('m').skip(1) {
         let spaced = piece.replace("h0", "").replace('z', "").replace('-', " -");
         let numbers: Vec<f64> = spaced.split_whitespace().map(|number| number.parse().unwrap()).collect();
-        assert!(numbers.len() % 2 == 0, "{piece}");
+        assert!(numbers.len().is_multiple_of(2), "{piece}");
         for (n, step) in numbers.chunks(2).enumerate() {
             at = (at.0 + step[0], at.1 + step[1]);
             start = if n == 0 { at } else { start };

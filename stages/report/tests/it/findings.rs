@@ -66,9 +66,9 @@ fn several_trainings_are_the_unit_and_their_episodes_are_not() {
     params["trainings"] = json!(["seed"]);
     let run = |count: usize, shift: [f64; 5]| {
         let mut bench = Bench::new::<Findings>(&params, 0).unwrap();
-        for seed in 0..count {
+        for (seed, shift) in shift.into_iter().take(count).enumerate() {
             for (n, method) in ["a", "b"].into_iter().enumerate() {
-                let mean = 100.0 + if n == 1 { shift[seed] } else { 0.0 };
+                let mean = 100.0 + if n == 1 { shift } else { 0.0 };
                 let path = fakes::scores(&bench, &format!("{seed}{n}"), &scores(mean, 7 * seed + n, 100));
                 bench = bench.input("scores", &path, &[("method", method), ("seed", &seed.to_string())]);
             }
