@@ -25,6 +25,8 @@ fn main() -> Result<ExitCode, RegistryError> {
     #[cfg(feature = "stages")]
     let kinds: Vec<Kind> =
         [&kinds::KINDS[..], &dril_kinds::KINDS, &dril_envs::KINDS, &dril_report::KINDS].concat();
+    #[cfg(feature = "stages")]
+    cli::keep_page(dril_report::html::page, dril_report::html::MARK);
     #[cfg(not(feature = "stages"))]
     let kinds: Vec<Kind> = kinds::KINDS.to_vec();
     Ok(cli::run_with(Registry::new(kinds)?, EXTRAS, std::env::args_os()))

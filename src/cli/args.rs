@@ -2,6 +2,7 @@
 
 mod cache;
 mod inspect;
+mod page;
 pub(super) mod shell;
 
 use std::ffi::OsString;
@@ -15,6 +16,7 @@ use crate::resolve::{Choices, Selection};
 use crate::spec::limits::parse_time;
 pub(super) use cache::{CacheArgs, CacheCommand, DuArgs, ExportArgs, GcArgs, ImportArgs, VerifyArgs};
 pub(super) use inspect::{DiffArgs, ExplainArgs, LogArgs, RunsArgs, ShowArgs, StatusArgs};
+pub(super) use page::ReportArgs;
 pub(super) use shell::{CompletionsArgs, ManArgs};
 
 const EXIT_CODES: &str = "\
@@ -63,6 +65,8 @@ pub(super) enum Command {
     Runs(RunsArgs),
     /// Compare two runs: parameters, inputs and results
     Diff(DiffArgs),
+    /// Write the results as one HTML page, for any state of the pipeline; runs nothing
+    Report(ReportArgs),
     /// Look after the store: check it, make room, see what takes room, carry results to another machine
     Cache(CacheArgs),
     /// Print the graph of stages as DOT, Mermaid or JSON

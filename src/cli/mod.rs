@@ -12,6 +12,7 @@ mod inspect;
 mod kinds;
 mod lockfile;
 mod names;
+mod page;
 mod pipeline;
 mod plan;
 mod python;
@@ -37,6 +38,7 @@ use dril_stage_api::{Registry, Reply};
 use crate::error::exit_codes;
 use crate::exec;
 use args::{Command, Request};
+pub use page::{Page, keep_page};
 pub use python::python_folders;
 use terminal::{Terminal, print, print_error};
 
@@ -124,6 +126,7 @@ fn own(command: &Command, registry: &Registry, extras: &[Extra]) -> ExitCode {
         Command::Log(args) => inspect::log::main(args),
         Command::Runs(args) => inspect::runs::main(args),
         Command::Diff(args) => inspect::diff::main(args),
+        Command::Report(args) => page::main(args, registry),
         Command::Cache(args) => cache::main(args, registry),
         Command::Graph(args) => graph::main(args, registry),
         Command::Kinds(args) => kinds::main(args, registry),

@@ -108,6 +108,16 @@ fn environment(mut choices: Choices) -> Choices {
     choices
 }
 
+/// The profile that is used when none is named, where the file has profiles.
+///
+/// # Errors
+/// All that is wrong with the file.
+pub(super) fn first_profile(args: &PipelineArgs) -> Result<Option<String>, Error> {
+    let name = SourceName(args.file.display().to_string());
+    let spec = read(&args.file, &name, &mut Reading::default())?;
+    Ok(spec.profiles().next().map(str::to_owned))
+}
+
 /// Reads a pipeline file and resolves it with each of its profiles.
 ///
 /// # Errors

@@ -164,6 +164,12 @@ pub(super) fn are_whole(folder: &Path, files: usize) -> Result<bool, Error> {
     Ok(note.files.len() == files)
 }
 
+/// The names that the results of a graph have in its folder, by stage and output.
+pub(super) fn file_names(graph: &Graph) -> BTreeMap<(String, String), String> {
+    let wanted = wanted(graph, |_| None).into_iter();
+    wanted.map(|(name, (entry, _))| ((entry.stage, entry.output), name)).collect()
+}
+
 /// The results of a graph by file name; with what is stored, where the stage is done.
 fn wanted<'a>(
     graph: &Graph,

@@ -12,7 +12,7 @@ use super::lockfile::{self, Keys, LockFile};
 use super::pipeline::Reading;
 use super::report::{self, Ending, Left};
 use super::unchanged::Circumstances;
-use super::{checked, pipeline, resources, results, signals};
+use super::{checked, page, pipeline, resources, results, signals};
 use crate::error::{Error, ErrorKind, exit_codes};
 use crate::exec::{self, ChildRunner, Executed, Options};
 use crate::fsx;
@@ -54,12 +54,11 @@ pub(super) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Erro
         exec::execute(plan, &store, &runner, &options, &stop, &mut |event| reporter.event(event))
     })?;
     let place = |stage| executed.outputs(selected.place(stage)?);
-    let published = results::publish(&folder, &args.pipeline.file, selected.all(), &store, place);
-    let mut error = None;
-    let published = published.unwrap_or_else(|failed| {
-        error = Some(failed);
-        None
-    });
+    let (published, mut error) =
+        match results::publish(&folder, &args.pipeline.file, selected.all(), &store, place) {
+            Ok(published) => (published, None),
+            Err(failed) => (None, Some(failed)),
+        };
     if error.is_none() && selected.whole.is_none() {
         error = lock.settle(graph, &executed).err();
     }
@@ -78,6 +77,7 @@ pub(super) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Erro
         exit_code: code,
     };
     reporter.ended(&ending);
+    page::after_run(args, selected.all(), &store, &folder);
     if args.check_determinism && code == exit_codes::OK {
         drop(reporter);
         code = checked::main(args, graph, &store, &runner, &options, &stop)?;

@@ -16,6 +16,9 @@ use dril_pipe::{plan, store::Store};
 
 fn main() -> ExitCode {
     let arguments: Vec<_> = std::env::args_os().collect();
+    if std::env::var_os("DRIL_FAKES_PAGE").is_some() {
+        dril_pipe::cli::keep_page(page, MARK);
+    }
     match arguments.get(1).and_then(|argument| argument.to_str()) {
         Some("__engine") => engine(&arguments[2]),
         Some("__stage") => exec::run_stage(arguments[2].as_ref(), &fakes::registry()),
@@ -24,6 +27,30 @@ fn main() -> ExitCode {
         }
         _ => dril_pipe::cli::run(fakes::registry(), arguments),
     }
+}
+
+/// The first line of the pages of the stand-in.
+const MARK: &str = "<!-- page -->\n";
+
+/// A page that says what it was handed.
+fn page(outcome: &dril_stage_api::outcome::Outcome) -> Result<String, dril_stage_api::StageError> {
+    let first = outcome.first_profile.as_deref().unwrap_or("none");
+    let command = outcome.command.join(" ");
+    let mut page = format!("{MARK}{} {} of {first}, {command}\n", outcome.pipeline, outcome.profile);
+    for stage in &outcome.stages {
+        page += &format!("{}: {:?}", stage.id, stage.state);
+        page.extend(stage.chosen.iter().map(|(name, value)| format!(" {name}={value}")));
+        for input in &stage.inputs {
+            let from = input.stage.map_or("file", |at| &outcome.stages[at].id);
+            page += &format!(" reads {from}.{}", input.from);
+        }
+        for output in &stage.outputs {
+            assert_eq!(std::fs::metadata(&output.path).map(|file| file.len()).ok(), Some(output.bytes));
+            page.extend(output.file.iter().map(|file| format!(" file {file}")));
+        }
+        page.push('\n');
+    }
+    Ok(page)
 }
 
 /// Runs a scenario without a pipeline file, and prints every event.

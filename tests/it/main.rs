@@ -26,6 +26,7 @@ mod inspect;
 mod lab;
 mod language;
 mod limits;
+mod page;
 mod parse;
 mod plan;
 mod programs;

@@ -2,6 +2,7 @@
 
 pub(super) mod diff;
 pub(super) mod explain;
+pub(super) mod failures;
 pub(super) mod log;
 mod overview;
 mod pick;

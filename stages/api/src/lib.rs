@@ -8,6 +8,7 @@
 //! - [`Reply`] is how a subcommand that a stage crate brings along ends.
 //! - [`math`] and [`draw`] are functions and random draws whose bits do not depend on the processor: what reaches a
 //!   result uses them instead of those of `std` or of a library.
+//! - [`outcome`] is a pipeline with its results, for whoever writes a page about them.
 //! - [`scores`] is the one artifact format that several stage crates share.
 //!
 //! This crate knows nothing of YAML, keys or the cache, and depends on no other package of the workspace.
@@ -20,6 +21,7 @@ mod job;
 mod kind;
 pub mod math;
 mod needs;
+pub mod outcome;
 mod params;
 mod ports;
 mod progress;

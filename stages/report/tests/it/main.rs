@@ -4,6 +4,9 @@
 
 mod compare;
 mod fakes;
+mod figure;
+mod findings;
+mod html;
 mod leaderboard;
 mod select;
 mod table;
@@ -15,6 +18,6 @@ use dril_stage_api::Registry;
 fn the_kinds_have_names_of_their_own_and_draw_no_random_numbers() {
     let registry = Registry::new(KINDS).unwrap();
     let names: Vec<&str> = registry.iter().map(dril_stage_api::Kind::name).collect();
-    assert_eq!(names, ["compare", "leaderboard", "select", "table"]);
+    assert_eq!(names, ["compare", "figure", "findings", "leaderboard", "select", "table"]);
     assert!(registry.iter().all(|kind| !kind.seeded() && kind.worker().is_none()));
 }

@@ -1,0 +1,18 @@
+//! Arguments of `report`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::{PipelineArgs, StoreArgs};
+
+#[derive(Debug, Args)]
+pub(in crate::cli) struct ReportArgs {
+    #[command(flatten)]
+    pub pipeline: PipelineArgs,
+    #[command(flatten)]
+    pub store: StoreArgs,
+    /// The file to write [default: `report.html` in the results folder]
+    #[arg(short, long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+}

@@ -1,0 +1,46 @@
+//! What runs of the past say of stages that are to be run: whether the last try failed, and why.
+
+use std::collections::HashMap;
+
+use crate::error::Error;
+use crate::plan::{Plan, Verdict};
+use crate::store::{Fate, Key, Store};
+
+/// So many runs of the past are searched.
+const RUNS: usize = 20;
+
+/// Messages of failed stages, by key.
+#[derive(Debug, Default)]
+pub(in crate::cli) struct Failures {
+    messages: HashMap<Key, String>,
+}
+
+impl Failures {
+    /// Those of the latest runs of the plan's pipeline and profile.
+    ///
+    /// # Errors
+    /// The store cannot be read.
+    pub(in crate::cli) fn of(plan: &Plan<'_>, store: &Store) -> Result<Self, Error> {
+        let mut failures = Self::default();
+        if plan.steps.iter().all(|(_, verdict)| matches!(verdict, Verdict::Cached { .. })) {
+            return Ok(failures);
+        }
+        for id in store.run_ids()?.into_iter().take(RUNS) {
+            let run = store.past_run(&id)?;
+            if run.pipeline != plan.graph.pipeline || run.profile != plan.graph.profile {
+                continue;
+            }
+            for stage in run.stages.into_values().filter(|stage| stage.fate == Fate::Failed) {
+                if let Some(key) = stage.key {
+                    failures.messages.entry(key).or_insert(stage.error.unwrap_or_default());
+                }
+            }
+        }
+        Ok(failures)
+    }
+
+    /// Why the latest try to make this key failed; `None` where it did not.
+    pub(in crate::cli) fn message(&self, key: &Key) -> Option<&str> {
+        self.messages.get(key).map(String::as_str)
+    }
+}

@@ -1,0 +1,224 @@
+//! Files and their labels as lines of numbers, sorted into panels, colours and strands.
+
+use std::collections::{BTreeMap, HashMap};
+
+use dril_stage_api::{InputItem, StageError};
+
+use super::params::{FigureParams, Measure};
+
+/// The name of the input.
+pub(crate) const PORT: &str = "data";
+
+/// Rows of one file and one column, in the order of the file.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Strand {
+    /// The labels of the file, and `measure`, `column` and what other columns say.
+    pub(crate) labels: BTreeMap<String, String>,
+    pub(crate) x: Vec<f64>,
+    pub(crate) y: Vec<f64>,
+}
+
+/// What shares a colour.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Series {
+    /// The values of the labels of `colour`.
+    pub(crate) key: Vec<String>,
+    /// Its number among all series of the figure: the colour.
+    pub(crate) number: usize,
+    /// Strands that are drawn apart; each is what is taken together.
+    pub(crate) groups: Vec<Vec<Strand>>,
+}
+
+/// One pair of axes.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Panel {
+    pub(crate) row: Vec<String>,
+    pub(crate) column: Vec<String>,
+    pub(crate) series: Vec<Series>,
+}
+
+/// All that is to be drawn.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Data {
+    pub(crate) panels: Vec<Panel>,
+    /// The keys of `rows`, `columns` and `colour`, each value once, in the order of the matrix.
+    pub(crate) rows: Vec<Vec<String>>,
+    pub(crate) columns: Vec<Vec<String>>,
+    pub(crate) series: Vec<Vec<String>>,
+    /// The labels of `colour`, which grow by `column` where columns would otherwise look alike.
+    pub(crate) colour: Vec<String>,
+}
+
+/// Reads the files.
+///
+/// # Errors
+/// A file that is no CSV, lacks a column or a label, or holds a text where a number is needed.
+pub(crate) fn read(params: &FigureParams, items: &[InputItem<'_>]) -> Result<Vec<Strand>, StageError> {
+    let mut strands = Vec::new();
+    for item in items {
+        let bytes = std::fs::read(item.path).map_err(StageError::io("cannot read", item.path))?;
+        let labels = item.labels.iter().map(|(name, value)| (name.clone(), value.clone())).collect();
+        let read = file(params, &labels, &bytes);
+        strands.extend(read.map_err(|message| {
+            let labels = crate::samples::describe(item.labels);
+            StageError::input(PORT, item.path, format!("{message} (labels: {labels})"))
+        })?);
+    }
+    Ok(strands)
+}
+
+/// The strands of one file.
+pub(crate) fn file(
+    params: &FigureParams,
+    labels: &BTreeMap<String, String>,
+    bytes: &[u8],
+) -> Result<Vec<Strand>, String> {
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes);
+    let headers = reader.headers().map_err(|error| format!("not a CSV file: {error}"))?.clone();
+    let at = |name: &str| headers.iter().position(|header| header == name);
+    let listed = || headers.iter().map(|header| format!("`{header}`")).collect::<Vec<_>>().join(", ");
+    let missing = |name: &str| format!("has no column `{name}`; its columns are {}", listed());
+    let x = params.x.as_deref().map(|name| at(name).ok_or_else(|| missing(name))).transpose()?;
+    let mut wanted: Vec<(&Measure, usize)> = Vec::new();
+    for measure in &params.y {
+        for name in measure.columns() {
+            let found: Vec<usize> = match name.strip_suffix('*') {
+                Some(start) => (0..headers.len()).filter(|at| headers[*at].starts_with(start)).collect(),
+                None => at(name).into_iter().collect(),
+            };
+            if found.is_empty() {
+                return Err(missing(name));
+            }
+            wanted.extend(found.into_iter().map(|at| (measure, at)));
+        }
+    }
+    // Labels that no axis of the matrix has may be columns of the file.
+    let keys = [&params.rows, &params.columns, &params.colour, &params.categories];
+    let mut splits: Vec<(&String, usize)> = Vec::new();
+    for key in keys.into_iter().flatten() {
+        if !labels.contains_key(key) && key != "measure" && key != "column" {
+            let at = at(key).ok_or_else(|| {
+                format!("has neither a label nor a column `{key}`; its columns are {}", listed())
+            })?;
+            splits.push((key, at));
+        }
+    }
+    // What is taken together need not be there: the same figure serves one training and several.
+    splits.extend(
+        params.pool.iter().filter(|key| !labels.contains_key(*key)).filter_map(|key| Some((key, at(key)?))),
+    );
+    let mut strands: Vec<Strand> = Vec::new();
+    let mut places: HashMap<(usize, Vec<String>), usize> = HashMap::new();
+    for (n, record) in reader.records().enumerate() {
+        let record = record.map_err(|error| format!("not a CSV file: {error}"))?;
+        let number = |at: usize| number(&record[at], &headers[at], n + 2);
+        let Some(x) = x.map_or(Ok(Some(n as f64)), number)? else { continue };
+        for (m, (measure, column)) in wanted.iter().enumerate() {
+            let Some(y) = number(*column)? else { continue };
+            let split: Vec<String> = splits.iter().map(|(_, at)| record[*at].to_owned()).collect();
+            let place = *places.entry((m, split.clone())).or_insert_with(|| {
+                let mut labels = labels.clone();
+                labels.insert("measure".to_owned(), measure.title().to_owned());
+                labels.insert("column".to_owned(), headers[*column].to_owned());
+                labels.extend(splits.iter().map(|(key, _)| (*key).clone()).zip(split));
+                strands.push(Strand { labels, x: Vec::new(), y: Vec::new() });
+                strands.len() - 1
+            });
+            strands[place].x.push(x);
+            strands[place].y.push(y);
+        }
+    }
+    Ok(strands)
+}
+
+/// A cell; an empty one, and what is no finite number, is no row.
+fn number(text: &str, column: &str, line: usize) -> Result<Option<f64>, String> {
+    if text.is_empty() {
+        return Ok(None);
+    }
+    let value: f64 =
+        text.parse().map_err(|_| format!("line {line}: `{column}` is `{text}`, expected a number"))?;
+    Ok(Some(value).filter(|value| value.is_finite()))
+}
+
+/// Sorts strands into panels and colours.
+///
+/// # Errors
+/// There is nothing to draw.
+pub(crate) fn arrange(params: &FigureParams, strands: Vec<Strand>) -> Result<Data, StageError> {
+    let mut colour = params.colour.clone();
+    let taken = [&params.rows, &params.columns, &params.colour, &params.pool, &params.categories];
+    let is_free = |label: &str| taken.iter().all(|list| list.iter().all(|key| key != label));
+    // Columns of one panel that nothing else tells apart have colours of their own.
+    let several = |measure: &Measure| measure.columns().len() > 1 || measure.columns()[0].ends_with('*');
+    let several = params.y.iter().any(several) || params.y.len() > 1 && is_free("measure");
+    if several && is_free("column") {
+        colour.push("column".to_owned());
+    }
+    let mut data =
+        Data { panels: Vec::new(), rows: Vec::new(), columns: Vec::new(), series: Vec::new(), colour };
+    let mut places: HashMap<(usize, usize, Vec<String>), usize> = HashMap::new();
+    for strand in strands.into_iter().filter(|strand| !strand.y.is_empty()) {
+        let key = |names: &[String]| -> Vec<String> {
+            names.iter().map(|name| strand.labels.get(name).cloned().unwrap_or_default()).collect()
+        };
+        let (row, column, series) = (key(&params.rows), key(&params.columns), key(&data.colour));
+        note(&mut data.rows, &row);
+        note(&mut data.columns, &column);
+        let number = note(&mut data.series, &series);
+        let panel = data.panels.iter().position(|panel| panel.row == row && panel.column == column);
+        let panel = panel.unwrap_or_else(|| {
+            data.panels.push(Panel { row: row.clone(), column: column.clone(), series: Vec::new() });
+            data.panels.len() - 1
+        });
+        let all = &mut data.panels[panel].series;
+        let at = all.iter().position(|other| other.key == series).unwrap_or_else(|| {
+            all.push(Series { key: series.clone(), number, groups: Vec::new() });
+            all.len() - 1
+        });
+        // What is left of the labels tells strands of one colour apart.
+        let rest: Vec<String> = strand
+            .labels
+            .iter()
+            .filter(|(name, _)| !params.pool.contains(name))
+            .map(|(name, value)| format!("{name}\0{value}"))
+            .collect();
+        let groups = &mut all[at].groups;
+        let group = *places.entry((panel, at, rest)).or_insert(groups.len());
+        match groups.get_mut(group) {
+            Some(group) => group.push(strand),
+            None => groups.push(vec![strand]),
+        }
+    }
+    if data.panels.is_empty() {
+        return Err(StageError::failed("no file of input `data` has a row to draw, expected at least one"));
+    }
+    sort(&mut data);
+    Ok(data)
+}
+
+/// Puts panels and series into the order of their labels: by the first label, then the second, each by the order in
+/// which its values come first.
+fn sort(data: &mut Data) {
+    let before = data.series.clone();
+    for keys in [&mut data.rows, &mut data.columns, &mut data.series] {
+        crate::pivot::sort_by_appearance(keys, Vec::as_slice);
+    }
+    let place = |list: &[Vec<String>], key: &Vec<String>| list.iter().position(|other| other == key);
+    let (rows, columns, series) = (&data.rows, &data.columns, &data.series);
+    data.panels.sort_by_key(|panel| (place(rows, &panel.row), place(columns, &panel.column)));
+    for panel in &mut data.panels {
+        for one in &mut panel.series {
+            one.number = place(series, &before[one.number]).unwrap_or(one.number);
+        }
+        panel.series.sort_by_key(|one| one.number);
+    }
+}
+
+/// Its place in the list, where it is put if need be.
+fn note(list: &mut Vec<Vec<String>>, key: &Vec<String>) -> usize {
+    list.iter().position(|other| other == key).unwrap_or_else(|| {
+        list.push(key.clone());
+        list.len() - 1
+    })
+}

@@ -1,0 +1,184 @@
+//! What a figure says about itself in words: its axes, what each layer is, and a description for who cannot see it.
+
+use super::chart::Chart;
+use super::data::Series;
+use super::layer::Shape;
+use super::paint::MOST_POINTS;
+use super::params::{BandOf, Measure};
+use crate::inference::Over;
+
+/// What stands at the two axes.
+pub(crate) fn titles(chart: &Chart<'_>) -> (String, String) {
+    let params = chart.params;
+    let measures = params.y.iter().map(Measure::title).collect::<Vec<_>>().join(", ");
+    // Where measures have panels of their own, their headings name them.
+    let has_panels = params.rows.iter().chain(&params.columns).any(|key| key == "measure");
+    let measures = if has_panels { String::new() } else { measures };
+    let (x, y) = if params.layers.interval.is_some() {
+        (measures, String::new())
+    } else if params.layers.histogram.is_some() {
+        (measures, "count".to_owned())
+    } else if params.layers.ecdf.is_some() {
+        (measures, "share".to_owned())
+    } else {
+        (params.x.clone().unwrap_or_else(|| "row".to_owned()), measures)
+    };
+    let or = |given: &str, own: String| if given.is_empty() { own } else { given.to_owned() };
+    (or(&params.x_title, x), or(&params.y_title, y))
+}
+
+/// The lines under the figure.
+pub(crate) fn notes(chart: &Chart<'_>) -> Vec<String> {
+    let params = chart.params;
+    let mut layers = Vec::new();
+    if params.layers.points.is_some() {
+        layers.push(points(chart));
+        match outside(chart) {
+            0 => {}
+            1 => layers.push("1 row lies outside the axes".to_owned()),
+            rows => layers.push(format!("{rows} rows lie outside the axes")),
+        }
+    }
+    if let Some(line) = &params.layers.line {
+        let over = pooled(chart).map(|over| format!("mean over {over}"));
+        let window = (line.smooth > 1).then(|| format!("mean of the last {} rows", line.smooth));
+        let what: Vec<String> = over.into_iter().chain(window).collect();
+        if !what.is_empty() {
+            layers.push(format!("line: {}", what.join(", ")));
+        }
+    }
+    if let Some(band) = &params.layers.band
+        && chart.contents.iter().flat_map(|content| &content.shapes).any(|drawn| drawn.layer == "band")
+    {
+        let of = match band.of {
+            BandOf::MinMax => "lowest to highest value",
+            BandOf::Quantiles => "10 % to 90 % quantile",
+            BandOf::Interval => "95 % interval of the mean (t)",
+        };
+        let over = if band.window > 1 {
+            format!("of the last {} rows", band.window)
+        } else {
+            format!("over {}", pooled(chart).unwrap_or_else(|| "what is taken together".to_owned()))
+        };
+        layers.push(format!("band: {of} {over}"));
+    }
+    if params.layers.mean.is_some() {
+        layers.push("dashed line: mean".to_owned());
+    }
+    if params.layers.interval.is_some() {
+        layers.extend(intervals(chart));
+    }
+    let mut notes = Vec::new();
+    if !layers.is_empty() {
+        let text = layers.join("; ");
+        let mut letters = text.chars();
+        notes.extend(letters.next().map(|first| format!("{}{}.", first.to_uppercase(), letters.as_str())));
+    }
+    notes.extend(panels(&params.rows, &params.columns));
+    if !params.profile.is_empty() && params.profile != params.full_profile {
+        notes.push(format!("Made at profile {}: sizes are reduced, values say nothing.", params.profile));
+    }
+    if !params.note.trim().is_empty() {
+        notes.push(crate::markdown::one_line(&params.note));
+    }
+    notes
+}
+
+/// What tells panels apart.
+fn panels(rows: &[String], columns: &[String]) -> Option<String> {
+    let (down, across) = (rows.join(" · "), columns.join(" · "));
+    match (rows.is_empty(), columns.is_empty()) {
+        (true, true) => None,
+        (true, false) => Some(format!("Panels: {across}.")),
+        (false, true) => Some(format!("Rows: {down}.")),
+        (false, false) => Some(format!("Rows: {down}; columns: {across}.")),
+    }
+}
+
+fn points(chart: &Chart<'_>) -> String {
+    let shapes = chart.contents.iter().flat_map(|content| &content.shapes);
+    let most = shapes.filter_map(|drawn| match &drawn.shape {
+        Shape::Points(points) => Some(points.len()),
+        _ => None,
+    });
+    match most.max() {
+        Some(count) if count > MOST_POINTS => {
+            format!("marks: single rows, thinned to {MOST_POINTS} a series (the CSV has all {count})")
+        }
+        _ => "marks: single rows".to_owned(),
+    }
+}
+
+/// How many rows lie outside of what is shown.
+fn outside(chart: &Chart<'_>) -> usize {
+    let beyond =
+        |range: Option<[f64; 2]>, value: f64| range.is_some_and(|[low, high]| value < low || value > high);
+    let range = &chart.params.range;
+    let shapes = chart.contents.iter().flat_map(|content| &content.shapes);
+    let points = shapes.filter_map(|drawn| match &drawn.shape {
+        Shape::Points(points) => Some(points),
+        _ => None,
+    });
+    points.flatten().filter(|(x, y)| beyond(range.x, *x) || beyond(range.y, *y)).count()
+}
+
+/// What is taken together, as in `5 values of seed`; `None` where nothing is.
+fn pooled(chart: &Chart<'_>) -> Option<String> {
+    let series = || chart.data.panels.iter().flat_map(|panel| &panel.series);
+    let sizes = |series: &Series| series.groups.iter().map(Vec::len).max().unwrap_or(0);
+    let largest = series().map(sizes).max().filter(|size| *size > 1)?;
+    Some(format!("{largest} values of {}", chart.params.pool.join(" and ")))
+}
+
+/// What the intervals are, for each way in which this figure has them.
+fn intervals(chart: &Chart<'_>) -> Vec<String> {
+    let entries = || chart.contents.iter().flat_map(|content| &content.entries);
+    let mut texts = Vec::new();
+    let range = |numbers: Vec<usize>| match (numbers.iter().min(), numbers.iter().max()) {
+        (Some(low), Some(high)) if low == high => Some(low.to_string()),
+        (Some(low), Some(high)) => Some(format!("{low} to {high}")),
+        _ => None,
+    };
+    let with = |over: Over, has_interval: bool| {
+        let chosen = entries().map(|entry| &entry.estimate);
+        chosen
+            .filter(|e| e.over == over && e.half_width.is_some() == has_interval)
+            .copied()
+            .collect::<Vec<_>>()
+    };
+    if let Some(n) = range(with(Over::Trainings, true).iter().map(|e| e.trainings).collect()) {
+        texts.push(format!("bar: 95 % interval of the mean over {n} trainings (t)"));
+    }
+    if let Some(n) = range(with(Over::Episodes, true).iter().map(|e| e.episodes).collect()) {
+        texts.push(format!(
+            "bar: 95 % interval over {n} episodes of one training (this policy on other tracks, not other trainings)"
+        ));
+    }
+    if let Some(n) = range(with(Over::Episodes, false).iter().map(|e| e.episodes).collect()) {
+        texts.push(format!("no interval: {n} episodes of one training are too few"));
+    }
+    if !with(Over::Trainings, false).is_empty() {
+        texts.push("small marks: two trainings, too few for an interval".to_owned());
+    }
+    if entries().any(|entry| entry.published.is_some()) {
+        texts.push("hollow diamond: published value".to_owned());
+    }
+    texts
+}
+
+/// What the figure shows, for who cannot see it.
+pub(crate) fn description(chart: &Chart<'_>, x: &str, y: &str, notes: &[String]) -> String {
+    let (panels, series) = (chart.data.panels.len(), chart.data.series.len());
+    let count = |n: usize, what: &str| if n == 1 { String::new() } else { format!(", {n} {what}") };
+    let axes = match (x, y) {
+        ("", "") => "Values".to_owned(),
+        (x, "") => format!("Values of {x}"),
+        ("", y) => format!("Values of {y}"),
+        (x, y) => format!("{y} over {x}"),
+    };
+    let names: Vec<String> =
+        chart.data.series.iter().map(|key| key.join(" · ")).filter(|n| !n.is_empty()).collect();
+    let names = if names.len() > 1 { format!(" ({})", names.join(", ")) } else { String::new() };
+    let notes = notes.iter().map(|note| format!(" {note}")).collect::<String>();
+    format!("{axes}{}{}{names}.{notes}", count(panels, "panels"), count(series, "series"))
+}

@@ -1,0 +1,105 @@
+//! The kind `figure`: CSV files of any stage, drawn as SVG; and what is drawn, as CSV.
+//!
+//! | module | what it does |
+//! |---|---|
+//! | `params` | what a pipeline file says |
+//! | `data` | files and labels → panels, series, strands |
+//! | `layer`, `intervals` | strands → shapes, in the units of the data |
+//! | `ticks`, `layout`, `explain` | axes, places on the canvas, words |
+//! | `chart`, `paint` | shapes → plotters |
+//! | `svg`, `ink` | plotters → SVG |
+//! | `drawn` | shapes → CSV |
+
+mod chart;
+mod data;
+mod drawn;
+mod explain;
+mod ink;
+mod intervals;
+mod layer;
+mod layout;
+mod paint;
+mod params;
+mod svg;
+mod ticks;
+
+use std::path::Path;
+
+use dril_stage_api::{Artifact, Ctx, Describe, InputItem, Ports, Problems, Stage, StageError};
+
+use crate::reference;
+pub use params::{
+    Area, Band, BandOf, Ecdf, FigureParams, Histogram, Intervals, Layers, Line, Mean, Measure, Points,
+    Preset, Ranges, Rule, Scales, Span,
+};
+pub(crate) use svg::escape;
+pub use ticks::Scale;
+
+/// Draws CSV files.
+///
+/// Inputs: `data`, any number of CSV files with a header, each with its labels; `reference`, if given, a CSV file with
+/// the labels and `mean` as columns, for the published values of intervals.
+///
+/// Outputs: `svg`, and `csv` with the columns `<labels>,layer,strand,x,y,low,high,n`.
+///
+/// Equal inputs, labels and parameters give equal bytes; series, colours and panels stand in the order of the matrix.
+pub struct Figure;
+
+impl Describe for Figure {
+    const KIND: &'static str = "figure";
+    const REVISION: u32 = 1;
+    const ABOUT: &'static str = "draw CSV files as SVG; series, colours and panels come from the labels";
+    const SEEDED: bool = false;
+    type Params = FigureParams;
+
+    fn check(params: &FigureParams, problems: &mut Problems) {
+        params.check(problems);
+    }
+
+    fn ports(_: &FigureParams) -> Ports {
+        Ports::new()
+            .many(data::PORT, Artifact::File, "CSV files with a header; their labels say where each belongs")
+            .optional(reference::PORT, Artifact::File, "published values: a CSV file of the labels and mean")
+            .output("svg", Artifact::Figure, "svg", "the figure")
+            .output("csv", Artifact::Table, "csv", "what it draws, one line a mark")
+    }
+}
+
+impl Stage for Figure {
+    type Kind = Self;
+
+    fn run(params: &FigureParams, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
+        ctx.stop_if_cancelled()?;
+        let drawing = draw(params, &ctx.inputs(data::PORT), ctx.optional_input(reference::PORT))?;
+        ctx.write_output("svg", drawing.svg)?;
+        ctx.write_output("csv", drawing.csv)
+    }
+}
+
+/// A figure in both its forms.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Drawing {
+    /// The SVG file.
+    pub svg: String,
+    /// The CSV file.
+    pub csv: Vec<u8>,
+}
+
+/// Draws files that carry labels.
+///
+/// # Errors
+/// A file that is no CSV, or does not have what the parameters ask for.
+pub fn draw(
+    params: &FigureParams,
+    items: &[InputItem<'_>],
+    reference: Option<&Path>,
+) -> Result<Drawing, StageError> {
+    if items.is_empty() {
+        return Err(StageError::Port("input `data` is not connected, expected at least one file".to_owned()));
+    }
+    crate::samples::unique(data::PORT, items)?;
+    let params = params.filled();
+    let data = data::arrange(&params, data::read(&params, items)?)?;
+    let chart = chart::Chart::new(&params, &data, reference)?;
+    Ok(Drawing { svg: chart.svg()?, csv: drawn::csv(&chart).map_err(StageError::failed)? })
+}

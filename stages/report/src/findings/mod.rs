@@ -1,0 +1,67 @@
+//! The kind `findings`: claims about evaluations, stated in the pipeline, tested together.
+
+mod cells;
+mod page;
+mod params;
+mod test;
+
+use dril_stage_api::{Artifact, Ctx, Describe, Ports, Problems, Stage, StageError};
+
+use crate::{reference, samples};
+pub use params::{Claim, FindingsParams, Relation, Value};
+pub use test::Verdict;
+
+/// Tests claims about differences between evaluations.
+///
+/// Inputs: `scores`, any number of evaluations, each with its labels, played on the same tracks; `reference`, if given,
+/// a CSV file with all labels but those of trainings, `mean` and `std` as columns.
+///
+/// Outputs: `csv` with one line a claim, `pairs` with one line a pair of cells of a claim, `markdown` for people.
+///
+/// The difference of a claim is the mean over its pairs. With several trainings a cell, the unit is the training: the
+/// differences of trainings with equal keys, with t over them. With one, it is the track: the differences on equal
+/// tracks, with t over them, which speaks of these policies alone. The p values are corrected by Holm over all claims.
+pub struct Findings;
+
+impl Describe for Findings {
+    const KIND: &'static str = "findings";
+    const REVISION: u32 = 1;
+    const ABOUT: &'static str = "test claims about evaluations together, beside published values";
+    const SEEDED: bool = false;
+    type Params = FindingsParams;
+
+    fn check(params: &FindingsParams, problems: &mut Problems) {
+        params.check(problems);
+    }
+
+    fn ports(_: &FindingsParams) -> Ports {
+        Ports::new()
+            .many(samples::PORT, Artifact::Scores, "the evaluations; their labels say where each belongs")
+            .optional(
+                reference::PORT,
+                Artifact::File,
+                "published values: a CSV file of the labels, mean and std",
+            )
+            .output("csv", Artifact::Table, "csv", "one line a claim, with verdict, difference and interval")
+            .output("pairs", Artifact::File, "csv", "one line a pair of cells of a claim")
+            .output("markdown", Artifact::Table, "md", "the claims for people")
+    }
+}
+
+impl Stage for Findings {
+    type Kind = Self;
+
+    fn run(params: &FindingsParams, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
+        let cells = cells::read(params, ctx)?;
+        let pairs =
+            params.claims.iter().map(|claim| cells::pairs(claim, &cells)).collect::<Result<Vec<_>, _>>()?;
+        let measured: Vec<test::Measured> =
+            params.claims.iter().zip(&pairs).map(|(claim, pairs)| test::measure(claim, pairs)).collect();
+        let verdicts = test::verdicts(&params.claims, &measured);
+        let published = page::published(params, &cells, &pairs, ctx.optional_input(reference::PORT))?;
+        let page = page::Page { params, pairs: &pairs, measured: &measured, verdicts: &verdicts, published };
+        ctx.write_output("csv", page.csv().map_err(StageError::failed)?)?;
+        ctx.write_output("pairs", page.pairs_csv(&cells).map_err(StageError::failed)?)?;
+        ctx.write_output("markdown", page.markdown())
+    }
+}

@@ -1,0 +1,144 @@
+//! The parameters of the kind `findings`: claims about cells, as a pipeline states them.
+
+use std::collections::BTreeMap;
+
+use dril_stage_api::Problems;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::markdown::one_line;
+
+/// Parameters of [`Findings`](super::Findings).
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct FindingsParams {
+    /// The heading.
+    pub title: String,
+    /// The profile at which the findings are made; printed with them.
+    pub profile: String,
+    /// The profile whose sizes are those of the thesis. At any other the page says that sizes are reduced.
+    #[serde(default = "crate::caption::full_profile")]
+    pub full_profile: String,
+    /// The labels that tell trainings of one cell apart, `seed` for example. Without any there is one training a cell,
+    /// and what is found holds for these policies only.
+    #[serde(default)]
+    pub trainings: Vec<String>,
+    /// The claims, tested together.
+    pub claims: Vec<Claim>,
+    /// Over so many episodes the values of the reference were measured.
+    #[serde(default = "hundred")]
+    pub reference_episodes: u32,
+    /// A sentence to print under the table.
+    #[serde(default)]
+    pub note: String,
+}
+
+fn hundred() -> u32 {
+    100
+}
+
+/// A claim about differences `left` − `right` between cells, averaged over all pairs that agree in all other labels.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Claim {
+    /// What is claimed, as a sentence.
+    pub claim: String,
+    /// What it says of the difference.
+    pub is: Relation,
+    /// The difference, in points, that counts.
+    #[serde(default)]
+    pub margin: f64,
+    /// Labels and values of the cells on the left.
+    pub left: BTreeMap<String, Value>,
+    /// Labels and values of the cells on the right.
+    pub right: BTreeMap<String, Value>,
+    /// Labels and values of the cells on both sides.
+    #[serde(default, rename = "where")]
+    pub both: BTreeMap<String, Value>,
+    /// Of cells that differ in these labels only, the best stands for its side; it is chosen on every other episode, and
+    /// compared on the rest.
+    #[serde(default)]
+    pub best_of: Vec<String>,
+}
+
+/// What a claim says of a difference.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Relation {
+    /// The left exceeds the right by more than the margin.
+    Greater,
+    /// The left exceeds the right by less than the margin.
+    NotGreater,
+    /// Neither exceeds the other by the margin.
+    Equal,
+}
+
+/// The value of a label.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(untagged)]
+pub enum Value {
+    /// As it stands.
+    Text(String),
+    /// A number, without decimals.
+    Whole(i64),
+    /// A number.
+    Number(f64),
+}
+
+impl std::fmt::Display for Value {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Text(text) => f.write_str(text),
+            Self::Whole(number) => number.fmt(f),
+            Self::Number(number) => number.fmt(f),
+        }
+    }
+}
+
+impl Relation {
+    /// In words, with the margin.
+    pub(crate) fn words(self, margin: f64) -> String {
+        match (self, margin == 0.0) {
+            (Self::Greater, true) => "left is greater".to_owned(),
+            (Self::Greater, false) => format!("left is greater by more than {margin}"),
+            (Self::NotGreater, true) => "left is smaller".to_owned(),
+            (Self::NotGreater, false) => format!("left is not greater by {margin}"),
+            (Self::Equal, _) => format!("within ±{margin}"),
+        }
+    }
+}
+
+impl FindingsParams {
+    pub(crate) fn check(&self, problems: &mut Problems) {
+        let Self { title, profile, full_profile, note, .. } = self;
+        crate::caption::Caption { title, profile, full_profile, note }.check(problems);
+        if self.claims.is_empty() {
+            problems.add("claims", "`claims` is empty, expected at least one");
+        }
+        problems.positive("reference_episodes", self.reference_episodes.into());
+        for (n, claim) in self.claims.iter().enumerate() {
+            let mut wrong =
+                |field: &str, message: String| problems.add(&format!("claims.{n}.{field}"), message);
+            if one_line(&claim.claim).is_empty() {
+                wrong("claim", "`claim` is empty, expected a sentence".to_owned());
+            }
+            if !(claim.margin.is_finite() && claim.margin >= 0.0) {
+                wrong("margin", format!("`margin` is {}, expected a number from 0 on", claim.margin));
+            }
+            if claim.is == Relation::Equal && claim.margin == 0.0 {
+                wrong(
+                    "margin",
+                    "no two means are found equal to the last digit, expected a margin above 0".to_owned(),
+                );
+            }
+            if claim.left == claim.right {
+                wrong("right", "`left` and `right` are the same cells".to_owned());
+            }
+            for label in claim.both.keys() {
+                if claim.left.contains_key(label) || claim.right.contains_key(label) {
+                    wrong("where", format!("`{label}` is in `left` or `right` too, expected it once"));
+                }
+            }
+        }
+    }
+}

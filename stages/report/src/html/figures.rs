@@ -1,0 +1,246 @@
+//! The figures of the page: those that the pipeline makes, and, for scores and training logs that it draws nowhere,
+//! figures of our own.
+
+use std::collections::BTreeMap;
+
+use dril_stage_api::outcome::{Outcome, OutputOutcome, StageOutcome};
+use dril_stage_api::{Artifact, InputItem, Labels, StageError};
+use maud::{Markup, PreEscaped, html};
+
+use super::csvs::Csv;
+use super::{Room, Section, count, link, made, read, title_of};
+use crate::figure::{FigureParams, Intervals, Layers, Line, Measure, Points, Scale, Scales, draw};
+
+/// Images of other programs are put into the page up to this size.
+const LARGEST_IMAGE: u64 = 150_000;
+/// So many files are drawn into one figure that nobody asked for.
+const MOST_FILES: usize = 100;
+/// So many panels of it.
+const MOST_PANELS: usize = 12;
+/// Labels that tell repetitions of the same thing apart.
+const REPETITIONS: [&str; 4] = ["seed", "fold", "run", "repetition"];
+
+/// The pipeline's own figures.
+pub(crate) fn section(outcome: &Outcome, room: &mut Room) -> Result<Option<Section>, StageError> {
+    let all = made(outcome, |_, output| output.artifact == Artifact::Figure);
+    if all.is_empty() {
+        return Ok(None);
+    }
+    let mut bodies = Vec::new();
+    for (stage, output) in all {
+        bodies.push(figure(stage, output, room)?);
+    }
+    let body = html! { @for body in &bodies { (body) } };
+    Ok(Some(Section { anchor: "figures", title: "Figures", body }))
+}
+
+fn figure(stage: &StageOutcome, output: &OutputOutcome, room: &mut Room) -> Result<Markup, StageError> {
+    let title = title_of(stage);
+    let image = if stage.kind == "figure" {
+        let text = String::from_utf8_lossy(&read(output)?).into_owned();
+        // The figure is ours: its text cannot hold anything but shapes and escaped words.
+        room.take(text.len()).then(|| html! { (PreEscaped(text)) })
+    } else {
+        foreign(&title, output, room)?
+    };
+    Ok(html! {
+        figure {
+            @match image {
+                Some(image) => { (frame(&title, &image)) },
+                None => p { "Too large for this page" @if output.file.is_some() { ": " (link(output)) } "." },
+            }
+            figcaption {
+                @if stage.kind != "figure" { (title) ". " }
+                "Stage " code { (stage.id) }
+                @if output.file.is_some() { ": " (link(output)) }
+                @for data in stage.outputs.iter().filter(|other| stage.kind == "figure" && other.name == "csv") {
+                    @if data.file.is_some() { ", " (link(data)) }
+                }
+            }
+        }
+    })
+}
+
+/// A frame in which a drawing scrolls where the window is narrow.
+fn frame(title: &str, image: &Markup) -> Markup {
+    html! { div class="wide" tabindex="0" role="region" aria-label=(title) { (image) } }
+}
+
+/// The image of another program, which cannot reach out of its frame.
+fn foreign(title: &str, output: &OutputOutcome, room: &mut Room) -> Result<Option<Markup>, StageError> {
+    let kind = match output.extension.as_str() {
+        "svg" => "image/svg+xml",
+        "png" => "image/png",
+        "gif" => "image/gif",
+        "jpg" | "jpeg" => "image/jpeg",
+        "webp" => "image/webp",
+        _ => return Ok(None),
+    };
+    if output.bytes > LARGEST_IMAGE || !room.take(output.bytes as usize * 4 / 3) {
+        return Ok(None);
+    }
+    let address = format!("data:{kind};base64,{}", base64(&read(output)?));
+    Ok(Some(html! { img src=(address) alt=(title); }))
+}
+
+fn base64(bytes: &[u8]) -> String {
+    const LETTERS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);
+    for chunk in bytes.chunks(3) {
+        let three = [chunk[0], chunk.get(1).copied().unwrap_or(0), chunk.get(2).copied().unwrap_or(0)];
+        let bits = three.iter().fold(0_usize, |bits, byte| bits << 8 | usize::from(*byte));
+        for n in 0..4 {
+            let letter = char::from(LETTERS[bits >> (18 - 6 * n) & 63]);
+            text.push(if n <= chunk.len() { letter } else { '=' });
+        }
+    }
+    text
+}
+
+/// The outputs of one name, with the stages that made them.
+type Members<'o> = Vec<(&'o StageOutcome, &'o OutputOutcome)>;
+
+/// Scores and training logs that no figure of the pipeline reads, drawn without being asked.
+pub(crate) fn automatic(outcome: &Outcome, room: &mut Room) -> Result<Option<Section>, StageError> {
+    let drawn = |name: &str, output: &str| {
+        outcome.stages.iter().filter(|stage| stage.kind == "figure").any(|figure| {
+            figure.inputs.iter().any(|input| {
+                input.from == output
+                    && input.stage.and_then(|at| outcome.stages.get(at)).is_some_and(|s| s.name == name)
+            })
+        })
+    };
+    let wanted = [Artifact::Scores, Artifact::TrainingLog];
+    let all =
+        made(outcome, |stage, output| wanted.contains(&output.artifact) && !drawn(&stage.name, &output.name));
+    let mut groups: Vec<(&str, &str, Members<'_>)> = Vec::new();
+    for (stage, output) in all {
+        match groups.iter_mut().find(|(name, port, _)| *name == stage.name && *port == output.name) {
+            Some((_, _, members)) => members.push((stage, output)),
+            None => groups.push((&stage.name, &output.name, vec![(stage, output)])),
+        }
+    }
+    let mut bodies = Vec::new();
+    for (name, port, members) in groups {
+        if let Some(svg) = figure_of(name, port, &members)?
+            && room.take(svg.len())
+        {
+            let files = count(members.len(), "file");
+            bodies.push(html! {
+                details {
+                    summary { code { (name) "." (port) } " " span class="quiet" { (files) } }
+                    figure { (frame(name, &PreEscaped(svg))) }
+                }
+            });
+        }
+    }
+    let body = html! {
+        p class="quiet" { "Scores and training logs that no figure of the pipeline draws." }
+        @for body in &bodies { (body) }
+    };
+    Ok((!bodies.is_empty()).then_some(Section { anchor: "curves", title: "Scores and training logs", body }))
+}
+
+/// The figure of all files of one output; `None` where there is nothing to draw.
+fn figure_of(
+    name: &str,
+    port: &str,
+    members: &[(&StageOutcome, &OutputOutcome)],
+) -> Result<Option<String>, StageError> {
+    let members = &members[..members.len().min(MOST_FILES)];
+    let labels: Vec<Labels> =
+        members.iter().map(|(stage, _)| stage.labels.iter().cloned().collect::<BTreeMap<_, _>>()).collect();
+    let items: Vec<InputItem<'_>> = members
+        .iter()
+        .zip(&labels)
+        .map(|((_, output), labels)| InputItem { path: &output.path, labels })
+        .collect();
+    let mut params = blank(format!("{name}.{port}"));
+    // Axes of the matrix, the fastest last: it gets the colours, repetitions are taken together.
+    let axes: Vec<&str> = members[0].0.labels.iter().map(|(axis, _)| axis.as_str()).collect();
+    let (repetitions, axes): (Vec<&str>, Vec<&str>) =
+        axes.into_iter().partition(|axis| REPETITIONS.contains(axis));
+    params.pool = repetitions.into_iter().map(str::to_owned).collect();
+    if members[0].1.artifact == Artifact::Scores {
+        params.y = vec![Measure::Column("score".to_owned())];
+        params.layers = Layers { interval: Some(Intervals {}), ..Layers::default() };
+        params.categories = axes.into_iter().map(str::to_owned).collect();
+    } else {
+        let Some(csv) = Csv::parse(&read(members[0].1)?) else { return Ok(None) };
+        curves(&mut params, &csv, &axes, members.len());
+        if params.y.is_empty() {
+            return Ok(None);
+        }
+    }
+    // What cannot be drawn is no reason to have no page.
+    Ok(draw(&params, &items, None).ok().map(|drawing| drawing.svg))
+}
+
+/// Which columns of a training log are worth a look, and over what.
+fn curves(params: &mut FigureParams, csv: &Csv, axes: &[&str], files: usize) {
+    let has = |name: &str| csv.at(name).is_some();
+    let losses: Vec<&str> =
+        csv.headers.iter().map(String::as_str).filter(|name| name.ends_with("_loss")).collect();
+    params.x = ["step", "epoch", "episode", "update"].into_iter().find(|name| has(name)).map(str::to_owned);
+    let column = |name: &str| Measure::Column(name.to_owned());
+    if has("score_mean_10") {
+        params.y = vec![column("score_mean_10")];
+    } else if !losses.is_empty() {
+        params.y = losses.into_iter().map(column).collect();
+        params.scale = Scales { y: Scale::Log, ..Scales::default() };
+    } else {
+        let first = csv.headers.iter().find(|name| Some(*name) != params.x.as_ref());
+        params.y = first.map(|name| column(name)).into_iter().collect();
+    }
+    let several = params.y.len() > 1;
+    let keep = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect::<Vec<String>>();
+    match axes {
+        [] => {}
+        [only] if !several => params.colour = keep(&[only]),
+        [rest @ .., last] if !several && files <= MOST_PANELS * 6 => {
+            params.columns = keep(rest);
+            params.colour = keep(&[last]);
+        }
+        all => params.columns = keep(all),
+    }
+    let few = csv.rows.len() < 3;
+    params.layers =
+        Layers { line: (!few).then(Line::default), points: few.then_some(Points {}), ..Layers::default() };
+}
+
+fn blank(title: String) -> FigureParams {
+    FigureParams {
+        title,
+        preset: None,
+        x: None,
+        y: Vec::new(),
+        rows: Vec::new(),
+        columns: Vec::new(),
+        colour: Vec::new(),
+        pool: Vec::new(),
+        categories: Vec::new(),
+        layers: Layers::default(),
+        rules: Vec::new(),
+        scale: Scales::default(),
+        range: Default::default(),
+        x_title: String::new(),
+        y_title: String::new(),
+        note: String::new(),
+        profile: String::new(),
+        full_profile: String::new(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn base64_is_that_of_rfc_4648() {
+        for (bytes, text) in
+            [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foobar", "Zm9vYmFy")]
+        {
+            assert_eq!(base64(bytes.as_bytes()), text);
+        }
+    }
+}

@@ -1,0 +1,222 @@
+//! A table of the kind `table` as a grid: this run's values, the published ones under them, coloured by how many
+//! standard errors lie between them.
+
+use maud::{Markup, html};
+use serde_json::Value;
+
+use super::csvs::Csv;
+use crate::inference::FEWEST_EPISODES;
+use crate::number::{fixed, rounded};
+
+/// Over so many episodes published values are taken to be measured, where nothing says otherwise.
+const PUBLISHED_EPISODES: f64 = 100.0;
+
+/// One cell.
+#[derive(Clone, Debug, PartialEq)]
+struct Cell {
+    mean: f64,
+    std: f64,
+    episodes: usize,
+    /// Mean and standard deviation as published.
+    reference: Option<(f64, Option<f64>)>,
+}
+
+/// The grid.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Grid {
+    down: Vec<String>,
+    across: Vec<String>,
+    rows: Vec<Vec<String>>,
+    columns: Vec<Vec<String>>,
+    cells: Vec<(Vec<String>, Vec<String>, Cell)>,
+}
+
+fn list(params: &Value, name: &str) -> Vec<String> {
+    let items = params.get(name).and_then(Value::as_array).into_iter().flatten();
+    items.filter_map(Value::as_str).map(str::to_owned).collect()
+}
+
+impl Cell {
+    fn of(csv: &Csv, row: &[String]) -> Option<Self> {
+        let number = |name: &str| csv.cell(row, name).parse::<f64>().ok();
+        // The published columns were once called after the thesis.
+        let either =
+            |what: &str| number(&format!("reference_{what}")).or_else(|| number(&format!("thesis_{what}")));
+        let reference = either("mean").map(|mean| (mean, either("std")));
+        let episodes = csv.cell(row, "episodes").parse().ok()?;
+        Some(Self { mean: number("mean")?, std: number("std")?, episodes, reference })
+    }
+
+    /// By how many standard errors of the difference it lies above what was published.
+    fn distance(&self) -> Option<f64> {
+        let (mean, std) = self.reference?;
+        let variance = self.std.powi(2) / self.episodes as f64 + std?.powi(2) / PUBLISHED_EPISODES;
+        (variance > 0.0).then(|| (self.mean - mean) / variance.sqrt())
+    }
+
+    fn class(&self) -> String {
+        let few = if self.episodes < FEWEST_EPISODES { " few" } else { "" };
+        let step = self.distance().map_or(0, step);
+        match step {
+            0 => format!("n{few}"),
+            step if step > 0 => format!("n u{step}{few}"),
+            step => format!("n d{}{few}", -step),
+        }
+    }
+
+    fn show(&self) -> Markup {
+        let mark = match self.distance().map_or(0, step) {
+            step if step > 0 => "▲",
+            step if step < 0 => "▼",
+            _ => "",
+        };
+        let far = self
+            .distance()
+            .map(|distance| format!("{} standard errors from the published value", fixed(distance, 1)));
+        html! {
+            span title=[far] { (mark) (score(self.mean, Some(self.std))) }
+            @if let Some((mean, std)) = self.reference {
+                span class="ref" { (score(mean, std)) }
+            }
+        }
+    }
+}
+
+/// `−12 ± 3`.
+fn score(mean: f64, std: Option<f64>) -> String {
+    let std = std.map_or_else(String::new, |std| format!(" ± {}", rounded(std)));
+    rounded(mean).replace('-', "−") + &std
+}
+
+/// From −3 to 3: beyond one, two and three standard errors.
+fn step(distance: f64) -> i32 {
+    let size = if distance.abs() >= 3.0 { 3 } else { distance.abs().floor() as i32 };
+    if distance < 0.0 { -size } else { size }
+}
+
+impl Grid {
+    /// The grid of a table's CSV under its parameters; `None` where they do not belong together.
+    pub(crate) fn of(params: &Value, csv: &Csv) -> Option<Self> {
+        let (keys, across) = (list(params, "keys"), list(params, "columns"));
+        let mut grid = Self {
+            down: keys.iter().filter(|key| !across.contains(key)).cloned().collect(),
+            across,
+            rows: Vec::new(),
+            columns: Vec::new(),
+            cells: Vec::new(),
+        };
+        // A key with one value in the whole table says nothing about its rows.
+        let varies =
+            |key: &String| csv.rows.iter().any(|row| csv.cell(row, key) != csv.cell(&csv.rows[0], key));
+        grid.down.retain(varies);
+        grid.across.retain(varies);
+        for row in &csv.rows {
+            let take = |keys: &[String]| -> Vec<String> {
+                keys.iter().map(|key| csv.cell(row, key).to_owned()).collect()
+            };
+            let (down, across) = (take(&grid.down), take(&grid.across));
+            if !grid.rows.contains(&down) {
+                grid.rows.push(down.clone());
+            }
+            if !grid.columns.contains(&across) {
+                grid.columns.push(across.clone());
+            }
+            grid.cells.push((down, across, Cell::of(csv, row)?));
+        }
+        crate::pivot::sort_by_appearance(&mut grid.columns, Vec::as_slice);
+        Some(grid)
+    }
+
+    fn cell(&self, down: &[String], across: &[String]) -> Option<&Cell> {
+        self.cells.iter().find(|(row, column, _)| row == down && column == across).map(|(_, _, cell)| cell)
+    }
+
+    /// The rows with the label that opens each level, where it is not the one above.
+    fn labels(&self, n: usize) -> Vec<Option<&str>> {
+        let row = &self.rows[n];
+        let label = |level: usize| {
+            let same = n > 0 && self.rows[n - 1][..=level] == row[..=level];
+            (!same).then_some(row[level].as_str())
+        };
+        (0..row.len()).map(label).collect()
+    }
+
+    pub(crate) fn table(&self, caption: &str) -> Markup {
+        let has_reference = self.cells.iter().any(|(_, _, cell)| cell.reference.is_some());
+        let has_few = self.cells.iter().any(|(_, _, cell)| cell.episodes < FEWEST_EPISODES);
+        html! {
+            div class="wide" tabindex="0" role="region" aria-label=(caption) {
+                table {
+                    caption { (caption) }
+                    thead { tr {
+                        @for key in &self.down { th scope="col" { (key) } }
+                        @for column in &self.columns {
+                            th scope="col" class="n" {
+                                @if column.is_empty() { "score" } @else { (column.join(" · ")) }
+                            }
+                        }
+                    } }
+                    tbody { @for (n, row) in self.rows.iter().enumerate() { tr {
+                        @for label in self.labels(n) {
+                            @match label { Some(label) => { th scope="row" { (label) } }, None => { td {} } }
+                        }
+                        @for column in &self.columns {
+                            @match self.cell(row, column) {
+                                Some(cell) => { td class=(cell.class()) { (cell.show()) } },
+                                None => { td {} },
+                            }
+                        }
+                    } } }
+                }
+            }
+            (self.explain(has_reference, has_few))
+        }
+    }
+
+    fn explain(&self, has_reference: bool, has_few: bool) -> Markup {
+        let columns = self.across.join(" · ");
+        html! {
+            p class="quiet legend" {
+                "Mean ± standard deviation over episodes"
+                @if !columns.is_empty() { "; columns: " (columns) }
+                @if has_reference {
+                    "; under it the published value. Colour: this run is "
+                    span class="d3" { "▼3" } span class="d2" { "▼2" } span class="d1" { "▼1" }
+                    " below or "
+                    span class="u1" { "▲1" } span class="u2" { "▲2" } span class="u3" { "▲3" }
+                    " above it, by so many standard errors of the difference (over episodes, "
+                    (rounded(PUBLISHED_EPISODES)) " for published values)"
+                }
+                @if has_few { ". " span class="few" { "Hatched" } ": fewer than " (FEWEST_EPISODES) " episodes, no interval" }
+                "."
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn a_table_becomes_a_grid_with_the_published_value_under_each_cell() {
+        let text = "expert,policy,n,mean,std,episodes,reference_mean,reference_std\n\
+                    c,g,1,100.00,10.00,100,90,10\nc,g,20,200.00,10.00,100,,\nc,b,1,50.00,10.00,20,100,10\n";
+        let csv = Csv::parse(text.as_bytes()).unwrap();
+        let grid = Grid::of(&json!({ "keys": ["expert", "policy", "n"], "columns": ["n"] }), &csv).unwrap();
+        assert_eq!((&grid.down, &grid.across), (&vec!["policy".to_owned()], &vec!["n".to_owned()]));
+        let page = grid.table("T").into_string();
+        // Ten points of √2 standard errors each: far above; and 50 points of 2.4 below, over few episodes.
+        assert!(page.contains("class=\"n u3\"") && page.contains("class=\"n d3 few\""), "{page}");
+        assert!(page.contains("<td></td>"), "a combination that was not measured is empty");
+    }
+
+    #[test]
+    fn colours_have_three_steps_each_way() {
+        assert_eq!(
+            [-9.0, -3.0, -2.5, -1.0, -0.9, 0.0, 1.1, 2.0, 4.0].map(step),
+            [-3, -3, -2, -1, 0, 0, 1, 2, 3]
+        );
+    }
+}

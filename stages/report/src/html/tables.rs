@@ -1,0 +1,87 @@
+//! The tables of the page: the one that says most first, the others folded.
+
+use dril_stage_api::outcome::{Outcome, OutputOutcome, StageOutcome};
+use dril_stage_api::{Artifact, StageError};
+use maud::{Markup, html};
+
+use super::csvs::Csv;
+use super::{Room, Section, count, grid, link, made, read, title_of};
+
+/// So many tables are shown at all; the rest are links.
+const MOST_TABLES: usize = 40;
+
+/// The tables of results, but for those that have sections of their own.
+fn tables(outcome: &Outcome) -> Vec<(&StageOutcome, &OutputOutcome)> {
+    made(outcome, |stage, output| {
+        let has_its_own_section = ["findings", "figure"].contains(&stage.kind.as_str());
+        output.artifact == Artifact::Table && output.extension == "csv" && !has_its_own_section
+    })
+}
+
+/// The table with the most rows of the kind `table`, or else the largest table: it mostly holds all the others.
+fn first_of<'o>(
+    tables: &[(&'o StageOutcome, &'o OutputOutcome)],
+) -> Result<Option<(&'o StageOutcome, &'o OutputOutcome, Csv)>, StageError> {
+    let mut best: Option<(bool, usize, &StageOutcome, &OutputOutcome, Csv)> = None;
+    for (stage, output) in tables {
+        let Some(csv) = Csv::parse(&read(output)?) else { continue };
+        let rank = (stage.kind == "table", csv.rows.len());
+        if best.as_ref().is_none_or(|(is_table, rows, ..)| rank > (*is_table, *rows)) {
+            best = Some((rank.0, rank.1, stage, output, csv));
+        }
+    }
+    Ok(best.map(|(_, _, stage, output, csv)| (stage, output, csv)))
+}
+
+/// The first thing seen.
+pub(crate) fn first(outcome: &Outcome) -> Result<Option<Section>, StageError> {
+    let Some((stage, output, csv)) = first_of(&tables(outcome))? else { return Ok(None) };
+    let body = html! { (table(stage, &csv)) (files(stage, output)) };
+    Ok(Some(Section { anchor: "results", title: "Results", body }))
+}
+
+/// All other tables.
+pub(crate) fn others(outcome: &Outcome, room: &mut Room) -> Result<Option<Section>, StageError> {
+    let all = tables(outcome);
+    let first = first_of(&all)?.map(|(_, output, _)| output);
+    let rest: Vec<_> = all.into_iter().filter(|(_, output)| Some(*output) != first).collect();
+    if rest.is_empty() {
+        return Ok(None);
+    }
+    let mut bodies: Vec<Markup> = Vec::new();
+    for (stage, output) in rest.iter().take(MOST_TABLES) {
+        let csv = Csv::parse(&read(output)?);
+        let shown = csv.map(|csv| table(stage, &csv)).filter(|shown| room.take(shown.0.len()));
+        bodies.push(html! {
+            details {
+                summary { (title_of(stage)) @if stage.outputs.len() > 2 { " " span class="quiet" { (output.name) } } }
+                @if let Some(shown) = shown { (shown) } @else { p { "There is nothing to show here." } }
+                (files(stage, output))
+            }
+        });
+    }
+    let more = rest.len().saturating_sub(MOST_TABLES);
+    let body = html! {
+        @for body in &bodies { (body) }
+        @if more > 0 { p class="quiet" { "and " (count(more, "more table")) " in the results folder." } }
+    };
+    Ok(Some(Section { anchor: "tables", title: "More tables", body }))
+}
+
+/// As a grid where it is one of the kind `table`, else as it is.
+fn table(stage: &StageOutcome, csv: &Csv) -> Markup {
+    let title = title_of(stage);
+    let grid = if stage.kind == "table" { grid::Grid::of(&stage.params, csv) } else { None };
+    match grid {
+        Some(grid) => grid.table(&title),
+        None => csv.table(&title),
+    }
+}
+
+fn files(stage: &StageOutcome, output: &OutputOutcome) -> Markup {
+    html! {
+        p class="quiet" {
+            "Stage " code { (stage.id) } @if output.file.is_some() { ": " (link(output)) }
+        }
+    }
+}

@@ -1,0 +1,341 @@
+//! The page: what it shows of a pipeline, what it never does, and how large it grows.
+//!
+//! With `DRIL_PIPE_PAGES=FOLDER` the pages are kept there, for `tools/pages/check.mjs` and for eyes.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use dril_report::html::{MARK, page};
+use dril_report::{Figure, Findings, Table};
+use dril_stage_api::outcome::{InputOutcome, Outcome, OutputOutcome, StageOutcome, State};
+use dril_stage_api::testing::Bench;
+use dril_stage_api::{Artifact, Stage};
+use serde_json::{Value, json};
+
+use crate::fakes;
+
+/// An outcome whose results lie in a folder of its own.
+struct Lab {
+    folder: tempfile::TempDir,
+    outcome: Outcome,
+}
+
+impl Lab {
+    fn new(profile: &str) -> Self {
+        let outcome = Outcome {
+            pipeline: "thesis".into(),
+            profile: profile.into(),
+            first_profile: Some("thesis".into()),
+            command: vec!["pipelines/thesis.yaml".into(), "--profile".into(), profile.into()],
+            tool: "dril-pipe 0.1.0".into(),
+            stages: Vec::new(),
+        };
+        Self { folder: tempfile::tempdir().unwrap(), outcome }
+    }
+
+    /// Adds a stage that is done.
+    fn stage(
+        &mut self,
+        name: &str,
+        kind: &str,
+        labels: &[(&str, &str)],
+        outputs: &[(&str, Artifact, &str, &[u8])],
+    ) -> usize {
+        let at = self.outcome.stages.len();
+        let labels: Vec<(String, String)> =
+            labels.iter().map(|(axis, value)| ((*axis).to_owned(), (*value).to_owned())).collect();
+        let values: Vec<&str> = labels.iter().map(|(_, value)| value.as_str()).collect();
+        let id = if values.is_empty() { name.to_owned() } else { format!("{name}[{}]", values.join(", ")) };
+        let output = |(port, artifact, extension, bytes): &(&str, Artifact, &str, &[u8])| {
+            let path = self.folder.path().join(format!("{at}-{port}"));
+            std::fs::write(&path, bytes).unwrap();
+            let digest = format!("{:064x}", at * 31 + bytes.len());
+            let file = artifact.is_result().then(|| format!("{name}.{extension}"));
+            OutputOutcome {
+                name: (*port).to_owned(),
+                artifact: *artifact,
+                extension: (*extension).to_owned(),
+                digest,
+                bytes: bytes.len() as u64,
+                path,
+                file,
+            }
+        };
+        let stage = StageOutcome {
+            name: name.to_owned(),
+            id,
+            labels,
+            kind: kind.to_owned(),
+            revision: 1,
+            params: json!({}),
+            chosen: BTreeMap::new(),
+            seed: Some(66),
+            state: State::Done,
+            key: Some(format!("{:064x}", at + 1)),
+            inputs: Vec::new(),
+            outputs: outputs.iter().map(output).collect(),
+            seconds: Some(12.5),
+            made_with: [("libtorch".to_owned(), "2.13.0".to_owned())].into(),
+        };
+        self.outcome.stages.push(stage);
+        at
+    }
+
+    /// Runs a stage of this package on outputs of others, and adds it with what it made.
+    fn run<S: Stage>(
+        &mut self,
+        name: &str,
+        kind: &str,
+        params: &Value,
+        port: &str,
+        from: &[(usize, &str)],
+        reference: Option<&Path>,
+    ) {
+        let mut bench = Bench::new::<S>(params, 0).unwrap();
+        let mut inputs = Vec::new();
+        for (stage, output) in from {
+            let source = &self.outcome.stages[*stage];
+            let labels: Vec<(&str, &str)> =
+                source.labels.iter().map(|(axis, value)| (axis.as_str(), value.as_str())).collect();
+            let path = &source.outputs.iter().find(|other| other.name == *output).unwrap().path;
+            bench = bench.input(port, path, &labels);
+            inputs.push(InputOutcome {
+                port: port.to_owned(),
+                stage: Some(*stage),
+                from: (*output).to_owned(),
+                labels: source.labels.iter().cloned().collect(),
+            });
+        }
+        if let Some(reference) = reference {
+            bench = bench.input("reference", reference, &[]);
+        }
+        bench.run().unwrap();
+        let read = |output: &str| std::fs::read(bench.output(output).unwrap()).unwrap();
+        let at = match kind {
+            "figure" => self.stage(
+                name,
+                kind,
+                &[],
+                &[
+                    ("svg", Artifact::Figure, "svg", &read("svg")),
+                    ("csv", Artifact::Table, "csv", &read("csv")),
+                ],
+            ),
+            _ => self.stage(name, kind, &[], &[("csv", Artifact::Table, "csv", &read("csv"))]),
+        };
+        self.outcome.stages[at].params = bench.job().params.clone();
+        self.outcome.stages[at].chosen = [("title".to_owned(), params["title"].clone())].into();
+        self.outcome.stages[at].inputs = inputs;
+        self.outcome.stages[at].seed = None;
+    }
+
+    fn page(&self, name: &str) -> String {
+        let text = page(&self.outcome).unwrap();
+        if let Some(folder) = std::env::var_os("DRIL_PIPE_PAGES") {
+            let folder = PathBuf::from(folder).join(name);
+            std::fs::create_dir_all(&folder).unwrap();
+            std::fs::write(folder.join("report.html"), &text).unwrap();
+            for output in self.outcome.stages.iter().flat_map(|stage| &stage.outputs) {
+                if let Some(file) = &output.file {
+                    std::fs::copy(&output.path, folder.join(file)).unwrap();
+                }
+            }
+        }
+        text
+    }
+}
+
+fn noise(n: usize) -> f64 {
+    let mixed = (n as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 40;
+    f64::from(u32::try_from(mixed).unwrap()) / f64::from(1 << 24) - 0.5
+}
+
+fn scores(mean: f64, std: f64, own: usize, count: usize) -> Vec<u8> {
+    let row = |n: usize| {
+        let score = mean + std * (1.5 * noise(n) + 3.0 * noise(own * 1000 + n));
+        format!("{n},{},{score:.2},1000,time-limit\n", 2_000_000 + n)
+    };
+    let rows: String = (0..count).map(row).collect();
+    format!("episode,track_seed,score,steps,outcome\n{rows}").into_bytes()
+}
+
+fn losses(own: usize) -> Vec<u8> {
+    let row = |n: usize| {
+        let loss = 3.0 / n as f64 + 0.01 + 0.004 * noise(own + n).abs();
+        format!("{n},{loss:.6},{:.6}\n", loss * 1.3)
+    };
+    let rows: String = (1..600).map(row).collect();
+    format!("epoch,train_loss,val_loss\n{rows}").into_bytes()
+}
+
+/// Something like the thesis: 48 evaluations around its values, tables, findings, figures.
+fn thesis(profile: &str, episodes: usize) -> Lab {
+    let mut lab = Lab::new(profile);
+    let reference = fakes::reference("table22.csv");
+    let mut ensembles = Vec::new();
+    for (n, (expert, laps)) in
+        [("clipped", "1"), ("clipped", "20"), ("bounded", "1"), ("bounded", "20")].into_iter().enumerate()
+    {
+        let labels = [("expert", expert), ("demonstrations", laps)];
+        ensembles.push((
+            lab.stage("ensemble", "ensemble", &labels, &[("log", Artifact::TrainingLog, "csv", &losses(n))]),
+            "log",
+        ));
+    }
+    let mut evaluations = Vec::new();
+    for (n, labels) in fakes::matrix().iter().enumerate() {
+        let (mean, std) = fakes::reported(labels);
+        let bytes = scores(mean + 60.0 * noise(n + 7), std, n, episodes);
+        evaluations.push((
+            lab.stage("evaluate", "evaluate", labels, &[("scores", Artifact::Scores, "csv", &bytes)]),
+            "scores",
+        ));
+    }
+    let keys = json!(["expert", "method", "mode", "policy", "demonstrations"]);
+    let table = json!({
+        "title": "Table 22: all policies", "profile": profile, "keys": keys, "columns": ["demonstrations", "policy"],
+    });
+    lab.run::<Table>("table22", "table", &table, "scores", &evaluations, Some(&reference));
+    let of = |lab: &Lab, fits: &dyn Fn(&str) -> bool| -> Vec<(usize, &'static str)> {
+        let all = evaluations.iter().filter(|(at, _)| fits(&lab.outcome.stages[*at].id));
+        all.copied().collect()
+    };
+    let clones = of(&lab, &|id| id.contains("[clipped, bc, deterministic, gaussian"));
+    let small = json!({ "title": "Table 12: behaviour cloning", "profile": profile, "keys": keys, "columns": ["demonstrations"] });
+    lab.run::<Table>("table12", "table", &small, "scores", &clones, Some(&reference));
+    let claims = json!([
+        { "claim": "DRIL drives better at its peak than after its last step", "is": "greater", "left": { "method": "dril-peak" }, "right": { "method": "dril-final" } },
+        { "claim": "Twenty laps teach more than one", "is": "greater", "left": { "demonstrations": 20 }, "right": { "demonstrations": 1 } },
+        { "claim": "Gaussian clones drive worse with drawn actions", "is": "greater", "where": { "method": "bc", "policy": "gaussian" }, "left": { "mode": "deterministic" }, "right": { "mode": "stochastic" } },
+        { "claim": "Beta clones of bounded actions equal Gaussian peak DRIL on clipped ones", "is": "equal", "margin": 50, "where": { "mode": "stochastic", "demonstrations": 20 }, "left": { "expert": "bounded", "method": "bc", "policy": "beta" }, "right": { "expert": "clipped", "method": "dril-peak", "policy": "gaussian" } },
+        { "claim": "Final DRIL beats behaviour cloning", "is": "greater", "left": { "method": "dril-final" }, "right": { "method": "bc" } },
+    ]);
+    let findings = json!({ "title": "What the thesis found", "profile": profile, "claims": claims });
+    lab.run::<Findings>("findings", "findings", &findings, "scores", &evaluations, Some(&reference));
+    let intervals = json!({
+        "title": "Table 22 as intervals", "preset": "interval", "columns": ["expert"], "colour": ["method"],
+        "categories": ["policy", "demonstrations", "mode"], "rules": [{ "x": 900, "label": "solved" }], "profile": profile,
+    });
+    lab.run::<Figure>("figure-table22", "figure", &intervals, "data", &evaluations, Some(&reference));
+    let scatter = json!({
+        "title": "Figure A.2 b-d, f-h: 100 laps, clipped actions, Gaussian policies", "preset": "scores",
+        "rows": ["mode"], "columns": ["demonstrations", "method"], "range": { "y": [-300, 1000] }, "profile": profile,
+    });
+    let gaussian = of(&lab, &|id| id.contains("[clipped") && id.contains("gaussian"));
+    lab.run::<Figure>("figure-a2", "figure", &scatter, "data", &gaussian, None);
+    let losses = json!({
+        "title": "Figure 35: training the ensemble, clipped actions", "preset": "losses", "columns": ["demonstrations"],
+        "profile": profile,
+    });
+    lab.run::<Figure>("figure35", "figure", &losses, "data", &ensembles[..2], None);
+    lab
+}
+
+#[test]
+fn the_page_shows_results_first_and_says_what_they_are_not() {
+    let lab = thesis("smoke", 100);
+    let text = lab.page("thesis-smoke");
+    assert!(text.starts_with(MARK));
+    let at = |part: &str| text.find(part).unwrap_or_else(|| panic!("{part} is not there"));
+    let order = [
+        "Profile smoke, not thesis: sizes are reduced",
+        "One training a cell",
+        "Table 22: all policies",
+        "What the thesis found",
+        "Table 22 as intervals",
+        "Table 12: behaviour cloning",
+        "The graph of the stages",
+        "libtorch",
+    ];
+    at(order[7]);
+    for pair in order[..7].windows(2) {
+        assert!(at(pair[0]) < at(pair[1]), "{pair:?}");
+    }
+    assert!(text.contains("dril-pipe run pipelines/thesis.yaml --profile smoke"));
+    assert_eq!(text, page(&lab.outcome).unwrap(), "equal stores give equal bytes");
+    assert!(text.len() < 700_000, "{}", text.len());
+    let few = thesis("thesis", 20).page("thesis-few");
+    assert!(few.contains("few\"") && !few.contains("sizes are reduced"));
+}
+
+#[test]
+fn the_page_fetches_nothing_runs_nothing_and_names_no_folder() {
+    let lab = thesis("smoke", 30);
+    let text = page(&lab.outcome).unwrap();
+    for (attribute, count) in [("src=", 0), ("<script", 0), ("<link", 0), ("url(", 0), ("@import", 0)] {
+        assert_eq!(text.matches(attribute).count(), count, "{attribute}");
+    }
+    for address in text.split("href=\"").skip(1).map(|rest| rest.split('"').next().unwrap()) {
+        assert!(address.starts_with('#') || address.starts_with("./"), "{address}");
+        if let Some(anchor) = address.strip_prefix('#') {
+            assert!(text.contains(&format!("id=\"{anchor}\"")), "{anchor}");
+        }
+    }
+    assert!(!text.contains(lab.folder.path().to_str().unwrap()));
+}
+
+#[test]
+fn any_pipeline_has_a_page_and_what_failed_stands_in_it() {
+    let mut lab = Lab::new("thesis");
+    lab.stage("words", "command", &[], &[("table", Artifact::Table, "csv", b"word,fox\n<b>the</b>,4\n")]);
+    let svg = b"<svg xmlns=\"http://www.w3.org/2000/svg\"><script>alert(1)</script></svg>";
+    lab.stage("error", "command", &[], &[("figure", Artifact::Figure, "svg", svg)]);
+    lab.stage(
+        "log",
+        "command",
+        &[("seed", "1")],
+        &[("log", Artifact::TrainingLog, "csv", b"step,loss\n1,2\n2,1\n3,0.5\n4,0.4\n")],
+    );
+    let failed = lab.stage("train", "ppo", &[("seed", "2")], &[]);
+    lab.outcome.stages[failed].state = State::Failed("no such <device>".into());
+    lab.outcome.stages[failed].seconds = None;
+    let waiting = lab.stage("evaluate", "evaluate", &[("seed", "2")], &[]);
+    lab.outcome.stages[waiting].state = State::Waiting;
+    let text = lab.page("any");
+    for part in [
+        "&lt;b&gt;the&lt;/b&gt;",
+        "no such &lt;device&gt;",
+        "1 stage failed",
+        "1 stage is not up to date",
+        "src=\"data:image/svg+xml;base64,",
+        "Scores and training logs",
+    ] {
+        assert!(text.contains(part), "{part}");
+    }
+    assert!(
+        !text.contains("<script>") && !text.contains("<b>the"),
+        "what others made is text or a picture of its own"
+    );
+    let empty = Lab::new("thesis").page("empty");
+    assert!(empty.contains("0 of 0"));
+}
+
+#[test]
+fn a_thousand_stages_and_a_hundred_thousand_points_stay_small_and_quick() {
+    let mut lab = Lab::new("thesis");
+    for n in 0..1000 {
+        let labels = [("method", ["a", "b"][n % 2]), ("seed", &*(n / 2).to_string())];
+        lab.stage(
+            &format!("stage{}", n % 20),
+            "evaluate",
+            &labels,
+            &[("scores", Artifact::Scores, "csv", &scores(100.0, 50.0, n, 40))],
+        );
+    }
+    let rows: String = (0..100_000).map(|n| format!("{n},{:.3}\n", 100.0 * noise(n))).collect();
+    let log = lab.stage(
+        "train",
+        "ppo",
+        &[],
+        &[("log", Artifact::TrainingLog, "csv", format!("step,score_mean_10\n{rows}").as_bytes())],
+    );
+    let params = json!({ "title": "All points", "x": "step", "y": ["score_mean_10"], "layers": { "points": {}, "line": { "smooth": 100 } } });
+    lab.run::<Figure>("all-points", "figure", &params, "data", &[(log, "log")], None);
+    let began = Instant::now();
+    let text = lab.page("large");
+    let seconds = began.elapsed().as_secs_f64();
+    assert!(text.len() < 2_000_000, "{}", text.len());
+    // Two seconds for the optimised program on an idle machine; tests run without optimisation beside others.
+    assert!(seconds < 40.0, "{seconds}");
+}

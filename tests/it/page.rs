@@ -1,0 +1,66 @@
+//! The page about results: when it is written, what it is told, and whose files it leaves alone. What stands in it is
+//! the business of the package that writes it; here a stand-in prints what it was handed.
+
+use crate::cli::WORDS;
+use crate::sealed::{Sealed, ended};
+
+/// Runs the program with the stand-in.
+fn run(sealed: &Sealed, args: &str) -> crate::sealed::Ended {
+    let mut command = sealed.command(args);
+    command.env("DRIL_FAKES_PAGE", "1");
+    ended(command)
+}
+
+#[test]
+fn a_run_ends_with_a_page_and_says_where() {
+    let sealed = Sealed::with(WORDS);
+    let first = run(&sealed, "run p.yaml");
+    assert!(first.stdout.ends_with("report: results/words-full/report.html\n"), "{first:?}");
+    let page = sealed.read("results/words-full/report.html");
+    assert!(page.contains("words full of full, p.yaml"), "{page}");
+    assert!(page.contains("count[two]: Done to=2 reads say[two].text"), "{page}");
+    assert!(page.contains("gather: Done") && page.contains("file gather.md"), "{page}");
+    // Neither who looks nor when is in it, so a second look writes the same.
+    assert_eq!(run(&sealed, "report p.yaml --out again.html").code, 0);
+    assert_eq!(sealed.read("again.html").replace("file gather.md", ""), page.replace("file gather.md", ""));
+    let quick = run(&sealed, "report p.yaml --profile quick");
+    assert_eq!(quick.stdout, "report: results/words-quick/report.html\n");
+    let page = sealed.read("results/words-quick/report.html");
+    assert!(
+        page.contains("words quick of full, p.yaml --profile quick") && page.contains("count[one]: Stale"),
+        "{page}"
+    );
+    assert!(page.contains("gather: Waiting"), "{page}");
+}
+
+#[test]
+fn a_page_tells_of_what_failed_and_a_run_with_failures_has_one() {
+    let pipeline = "name: p\nstages:\n  a:\n    kind: count\n    with: { mishap: fail, at: 2 }\n";
+    let sealed = Sealed::with(pipeline);
+    let failed = run(&sealed, "run p.yaml");
+    assert_eq!(failed.code, 1, "{failed:?}");
+    let page = sealed.read("results/p-default/report.html");
+    assert!(page.contains("Failed(\"told to fail at 2"), "{page}");
+}
+
+#[test]
+fn a_page_of_somebody_else_is_left_alone() {
+    let sealed = Sealed::with(WORDS);
+    sealed.write("results/words-full/report.html", "mine");
+    let done = run(&sealed, "run p.yaml");
+    assert_eq!(done.code, 0);
+    assert!(
+        done.stderr.contains("warning: no report was written") && done.stderr.contains("--out"),
+        "{done:?}"
+    );
+    let refused = run(&sealed, "report p.yaml");
+    assert_eq!(refused.code, 4, "{refused:?}");
+    assert_eq!(sealed.read("results/words-full/report.html"), "mine");
+}
+
+#[test]
+fn a_program_without_the_package_that_writes_pages_says_so() {
+    let sealed = Sealed::with(WORDS);
+    let ended = sealed.run("report p.yaml");
+    assert!(ended.code == 2 && ended.stderr.contains("built without the stage packages"), "{ended:?}");
+}
