@@ -199,6 +199,15 @@ fn instances<'a>(
     (0..count).map(build).collect()
 }
 
+/// The problem of a stage that sees a variable whose value cannot stand in a key.
+fn value_is_no_text(stage: &str, name: &str, at: Span) -> Problem {
+    let text = format!(
+        "stage `{stage}` sees the variable `{name}`, whose value is no UTF-8 text, so that it cannot stand in a key"
+    );
+    Problem::new(at, text)
+        .hint("set it to UTF-8, or name it under `pass_env`, whose values do not enter the key")
+}
+
 fn instance_of(
     expanded: &Expanded<'_>,
     layers: &[&Node],
@@ -221,14 +230,7 @@ fn instance_of(
     if let Ok(look) = &checked
         && let Some(name) = not_text(&kind, &look.params, &world.choices.not_text)
     {
-        filler.problems.add(|| {
-            let text = format!(
-                "stage `{}` sees the variable `{name}`, whose value is no UTF-8 text, so that it cannot stand in a key",
-                stage.name.text
-            );
-            Problem::new(whole, text)
-                .hint("set it to UTF-8, or name it under `pass_env`, whose values do not enter the key")
-        });
+        filler.problems.add(|| value_is_no_text(&stage.name.text, name, whole));
         return None;
     }
     if own_seed.is_some() && checked.as_ref().is_ok_and(|look| !look.seeded) {

@@ -139,7 +139,8 @@ pub fn file_name(stem: &str, rest: &str) -> String {
     }
     let digits = &blake3::hash(stem.as_bytes()).to_hex()[..12];
     let room = LONGEST_NAME.saturating_sub(rest.len() + digits.len() + 1);
-    format!("{}-{digits}{rest}", &stem[..stem.floor_char_boundary(room)])
+    let end = (0..=room).rev().find(|at| stem.is_char_boundary(*at)).unwrap_or(0);
+    format!("{}-{digits}{rest}", &stem[..end])
 }
 
 #[cfg(test)]

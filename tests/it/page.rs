@@ -18,16 +18,17 @@ fn a_run_ends_with_a_page_and_says_where() {
     assert!(first.stdout.ends_with("report: results/words-full/report.html\n"), "{first:?}");
     let page = sealed.read("results/words-full/report.html");
     assert!(page.contains("words full of full, p.yaml"), "{page}");
-    assert!(page.contains("count[two]: Done to=2 reads say[two].text"), "{page}");
+    assert!(page.contains("count[word=two]: Done to=2 reads say[word=two].text"), "{page}");
     assert!(page.contains("gather: Done") && page.contains("file gather.md"), "{page}");
     // Neither who looks nor when is in it, so a second look writes the same.
     assert_eq!(run(&sealed, "report p.yaml --out again.html").code, 0);
-    assert_eq!(sealed.read("again.html").replace("file gather.md", ""), page.replace("file gather.md", ""));
+    assert_eq!(sealed.read("again.html").replace(" file gather.md", ""), page.replace(" file gather.md", ""));
     let quick = run(&sealed, "report p.yaml --profile quick");
     assert_eq!(quick.stdout, "report: results/words-quick/report.html\n");
     let page = sealed.read("results/words-quick/report.html");
     assert!(
-        page.contains("words quick of full, p.yaml --profile quick") && page.contains("count[one]: Stale"),
+        page.contains("words quick of full, p.yaml --profile quick")
+            && page.contains("count[word=one]: Stale"),
         "{page}"
     );
     assert!(page.contains("gather: Waiting"), "{page}");

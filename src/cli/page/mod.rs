@@ -3,7 +3,7 @@
 
 mod collect;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::ExitCode;
 use std::sync::OnceLock;
 
@@ -64,7 +64,7 @@ fn write(
     args: &PipelineArgs,
     graph: &Graph,
     store: &Store,
-    file: &PathBuf,
+    file: &Path,
 ) -> Result<(), Error> {
     let old = fsx::read_if_there(file)?;
     if old.as_ref().is_some_and(|old| !old.starts_with(mark.as_bytes())) {

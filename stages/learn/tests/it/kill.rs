@@ -101,12 +101,12 @@ fn ppo_killed_at_random_moments_ends_with_the_same_bytes() {
 
 #[test]
 fn behaviour_cloning_killed_at_random_moments_ends_with_the_same_bytes() {
-    survives(|| worlds::bc(200), 2);
+    survives(|| worlds::bc(2000), 2);
 }
 
 #[test]
 fn an_ensemble_killed_at_random_moments_ends_with_the_same_bytes() {
-    survives(|| worlds::ensemble(100), 3);
+    survives(|| worlds::ensemble(400), 3);
 }
 
 #[test]

@@ -103,10 +103,8 @@ pub(crate) fn file(
             splits.push((key, at));
         }
     }
-    // What is taken together need not be there: the same figure serves one training and several.
-    splits.extend(
-        params.pool.iter().filter(|key| !labels.contains_key(*key)).filter_map(|key| Some((key, at(key)?))),
-    );
+    // What is taken together need not be there: the same figure serves one training and several. It is a label: a column
+    // of that name is something else, as the `seed` of each episode in a file of scores.
     let mut strands: Vec<Strand> = Vec::new();
     let mut places: HashMap<(usize, Vec<String>), usize> = HashMap::new();
     for (n, record) in reader.records().enumerate() {

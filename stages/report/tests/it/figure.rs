@@ -185,7 +185,7 @@ fn intervals_stand_beside_published_values() {
     bench.run().unwrap();
     let (svg, csv) = (output(&bench, "svg"), output(&bench, "csv"));
     well_formed(&svg);
-    assert!(svg.contains("hollow diamond: published value") && svg.contains("one training"));
+    assert!(svg.contains("hollow diamond: published value") && svg.contains("one training"), "{svg}");
     assert_eq!(csv.lines().filter(|line| line.contains(",interval,")).count(), 48);
     assert_eq!(csv.lines().filter(|line| line.contains(",published,")).count(), 48);
     // 125 ± 113 over 100 episodes: the half width is 1.984 × 113 / √99.

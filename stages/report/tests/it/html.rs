@@ -194,7 +194,7 @@ fn thesis(profile: &str, episodes: usize) -> Lab {
     }
     let keys = json!(["expert", "method", "mode", "policy", "demonstrations"]);
     let table = json!({
-        "title": "Table 22: all policies", "profile": profile, "keys": keys, "columns": ["demonstrations", "policy"],
+        "title": "Table 22: all policies", "profile": profile, "full_profile": "thesis", "keys": keys, "columns": ["demonstrations", "policy"],
     });
     lab.run::<Table>("table22", "table", &table, "scores", &evaluations, Some(&reference));
     let of = |lab: &Lab, fits: &dyn Fn(&str) -> bool| -> Vec<(usize, &'static str)> {
@@ -202,7 +202,7 @@ fn thesis(profile: &str, episodes: usize) -> Lab {
         all.copied().collect()
     };
     let clones = of(&lab, &|id| id.contains("[clipped, bc, deterministic, gaussian"));
-    let small = json!({ "title": "Table 12: behaviour cloning", "profile": profile, "keys": keys, "columns": ["demonstrations"] });
+    let small = json!({ "title": "Table 12: behaviour cloning", "profile": profile, "full_profile": "thesis", "keys": keys, "columns": ["demonstrations"] });
     lab.run::<Table>("table12", "table", &small, "scores", &clones, Some(&reference));
     let claims = json!([
         { "claim": "DRIL drives better at its peak than after its last step", "is": "greater", "left": { "method": "dril-peak" }, "right": { "method": "dril-final" } },
@@ -211,22 +211,22 @@ fn thesis(profile: &str, episodes: usize) -> Lab {
         { "claim": "Beta clones of bounded actions equal Gaussian peak DRIL on clipped ones", "is": "equal", "margin": 50, "where": { "mode": "stochastic", "demonstrations": 20 }, "left": { "expert": "bounded", "method": "bc", "policy": "beta" }, "right": { "expert": "clipped", "method": "dril-peak", "policy": "gaussian" } },
         { "claim": "Final DRIL beats behaviour cloning", "is": "greater", "left": { "method": "dril-final" }, "right": { "method": "bc" } },
     ]);
-    let findings = json!({ "title": "What the thesis found", "profile": profile, "claims": claims });
+    let findings = json!({ "title": "What the thesis found", "profile": profile, "full_profile": "thesis", "claims": claims });
     lab.run::<Findings>("findings", "findings", &findings, "scores", &evaluations, Some(&reference));
     let intervals = json!({
         "title": "Table 22 as intervals", "preset": "interval", "columns": ["expert"], "colour": ["method"],
-        "categories": ["policy", "demonstrations", "mode"], "rules": [{ "x": 900, "label": "solved" }], "profile": profile,
+        "categories": ["policy", "demonstrations", "mode"], "rules": [{ "x": 900, "label": "solved" }], "profile": profile, "full_profile": "thesis",
     });
     lab.run::<Figure>("figure-table22", "figure", &intervals, "data", &evaluations, Some(&reference));
     let scatter = json!({
         "title": "Figure A.2 b-d, f-h: 100 laps, clipped actions, Gaussian policies", "preset": "scores",
-        "rows": ["mode"], "columns": ["demonstrations", "method"], "range": { "y": [-300, 1000] }, "profile": profile,
+        "rows": ["mode"], "columns": ["demonstrations", "method"], "range": { "y": [-300, 1000] }, "profile": profile, "full_profile": "thesis",
     });
     let gaussian = of(&lab, &|id| id.contains("[clipped") && id.contains("gaussian"));
     lab.run::<Figure>("figure-a2", "figure", &scatter, "data", &gaussian, None);
     let losses = json!({
         "title": "Figure 35: training the ensemble, clipped actions", "preset": "losses", "columns": ["demonstrations"],
-        "profile": profile,
+        "profile": profile, "full_profile": "thesis",
     });
     lab.run::<Figure>("figure35", "figure", &losses, "data", &ensembles[..2], None);
     lab
