@@ -159,10 +159,16 @@ pub fn record_inputs(
     stage.inputs.iter().map(input).collect()
 }
 
-/// Where an artifact comes from, for people: `dril[policy=beta].peak` or `file reference/table22.csv`.
+/// Where an artifact comes from, for people: `dril[policy=beta].peak`, `file reference/table22.csv`, or for what a stage
+/// brings in from outside both, `agent.content, file agents/beta.safetensors`.
 pub fn origin(graph: &Graph, source: &Source) -> String {
     match &source.from {
-        From::Stage { stage, output } => format!("{}.{output}", graph.stages[*stage].id),
+        From::Stage { stage, output } => {
+            let stage = &graph.stages[*stage];
+            let outside = stage.ports.outside.as_ref();
+            let file = outside.map_or_else(String::new, |outside| format!(", file {}", outside.path));
+            format!("{}.{output}{file}", stage.id)
+        }
         From::File { path, .. } => format!("file {path}"),
     }
 }
