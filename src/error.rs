@@ -155,8 +155,8 @@ impl From<ExecError> for Error {
     fn from(error: ExecError) -> Self {
         match error {
             ExecError::Store(error) => error.into(),
-            ExecError::TooFew(error) => {
-                let hint = format!("say how many there are: `--resources {}={}`", error.name, error.wanted);
+            ExecError::InsufficientResource(error) => {
+                let hint = format!("set the number of units: `--resources {}={}`", error.name, error.wanted);
                 Self::new(ErrorKind::Usage, error).hint(hint)
             }
             other => Self::new(ErrorKind::Io, other),

@@ -8,7 +8,7 @@ use super::args::RunArgs;
 use super::pipeline;
 use super::terminal::{Style, Terminal, count, print, print_error, printable, shown};
 use crate::error::{Error, exit_codes};
-use crate::exec::{self, Again, ChildRunner, Options};
+use crate::exec::{self, ChildRunner, Options, RecheckOutcome};
 use crate::plan;
 use crate::resolve::Graph;
 use crate::store::Store;
@@ -30,28 +30,28 @@ pub(super) fn main(
     }
     let plan = plan::plan(graph, store, &pipeline::base(&args.pipeline))?;
     let mut number = 0;
-    let told = exec::check(&plan, store, runner, options, stop, &mut |stage, again| {
+    let outcomes = exec::recheck(&plan, store, runner, options, stop, &mut |stage, outcome| {
         number += 1;
         let id = &graph.stages[stage].id;
         if args.json {
-            let _ = print(&format!("{}\n", line(id, again)));
-        } else if talks && *again == Again::Same {
+            let _ = print(&format!("{}\n", line(id, outcome)));
+        } else if talks && outcome.is_same() {
             let same = terminal.paint(Style::Good, "same   ");
             let _ =
                 print(&format!("[{number:>width$}/{total}] {same} {id}\n", width = total.to_string().len()));
-        } else if *again != Again::Same {
-            print_error(&format!("error: stage `{id}` {}\n", text(again)));
+        } else if !outcome.is_same() {
+            print_error(&format!("error: stage `{id}` {}\n", text(outcome)));
         }
     })?;
-    let bad: Vec<_> = told.iter().filter(|(_, again)| *again != Again::Same).collect();
-    let Some((first, again)) = bad.first() else {
+    let bad: Vec<_> = outcomes.iter().filter(|(_, outcome)| !outcome.is_same()).collect();
+    let Some((first, outcome)) = bad.first() else {
         if talks {
             let word = terminal.paint(Style::Good, "deterministic");
-            print(&format!("{word}: {} gave the same bytes twice\n", count(told.len(), "stage")))?;
+            print(&format!("{word}: {} gave the same bytes twice\n", count(outcomes.len(), "stage")))?;
         }
         return Ok(exit_codes::OK);
     };
-    if bad.iter().any(|(_, again)| *again == Again::Stopped) {
+    if bad.iter().any(|(_, outcome)| matches!(outcome, RecheckOutcome::Stopped)) {
         return Ok(exit_codes::INTERRUPTED);
     }
     if talks {
@@ -60,34 +60,36 @@ pub(super) fn main(
         print(&format!(
             "{word}: {} of {}; the first is `{id}`, which {}\n",
             bad.len(),
-            count(told.len(), "stage"),
-            text(again)
+            count(outcomes.len(), "stage"),
+            text(outcome)
         ))?;
     }
     Ok(exit_codes::CHECK_FAILED)
 }
 
-fn text(again: &Again) -> String {
-    match again {
-        Again::Same => "gave the same".to_owned(),
-        Again::Differs { output, at, path } => {
+fn text(outcome: &RecheckOutcome) -> String {
+    match outcome {
+        RecheckOutcome::Same => "gave the same".to_owned(),
+        RecheckOutcome::Differs { output, at, path } => {
             format!("gave another output `{output}`: byte {at} is the first that differs ({})", shown(path))
         }
-        Again::Failed(error) => format!("failed the second time: {}", printable(error)),
-        Again::Stopped => "was stopped".to_owned(),
+        RecheckOutcome::Failed(failure) => {
+            format!("failed the second time: {}", printable(&failure.to_string()))
+        }
+        RecheckOutcome::Stopped => "was stopped".to_owned(),
     }
 }
 
-fn line(id: &str, again: &Again) -> serde_json::Value {
-    let mut line = json!({ "event": "checked", "stage": id, "same": *again == Again::Same });
-    match again {
-        Again::Differs { output, at, path } => {
+fn line(id: &str, outcome: &RecheckOutcome) -> serde_json::Value {
+    let mut line = json!({ "event": "checked", "stage": id, "same": outcome.is_same() });
+    match outcome {
+        RecheckOutcome::Differs { output, at, path } => {
             line["output"] = json!(output);
             line["byte"] = json!(at);
             line["path"] = json!(path.to_string_lossy());
         }
-        Again::Failed(error) => line["error"] = json!(error),
-        Again::Same | Again::Stopped => {}
+        RecheckOutcome::Failed(failure) => line["error"] = json!(failure.to_string()),
+        RecheckOutcome::Same | RecheckOutcome::Stopped => {}
     }
     line
 }

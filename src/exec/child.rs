@@ -1,8 +1,9 @@
-//! Runs a job in a child process: a group of its own, which goes with the engine and leaves nothing behind.
+//! Runs a job in a child process, in a process group of its own that dies with the engine and leaves nothing behind.
 //!
-//! A stage of our own kinds is `dril-pipe __stage JOB`, or a worker beside it. A kind whose work is another program's
-//! costs no process of ours: the program is started as it is.
+//! A built-in stage runs as `dril-pipe __stage JOB`, or in a worker executable beside it. For a kind that runs a foreign
+//! program, that program is started directly, without a process of ours around it.
 
+use std::error::Error;
 use std::ffi::OsString;
 use std::io;
 use std::os::fd::AsFd;
@@ -17,8 +18,10 @@ use dril_stage_api::{Message, Prepared, StageError};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
 
+use super::failure::Failure;
 use super::listen::Listener;
 use super::memory;
+use super::options::POLL_INTERVAL;
 use super::resources;
 use super::runner::{Exit, Launch, Runner};
 use super::stage::EXIT_STOPPED;
@@ -27,13 +30,10 @@ use super::unstarted;
 use super::warden::{Guarded, Warden};
 use crate::fsx::{self, Entry, File};
 
-/// How soon a wish to stop is noticed.
-const GLANCE: Duration = Duration::from_millis(100);
-
 /// How often the memory of a stage with a limit is measured.
-const MEASURE: Duration = Duration::from_millis(200);
+const MEASURE_INTERVAL: Duration = Duration::from_millis(200);
 
-/// What caps the threads of libraries that stages use. Results do not depend on it; the neighbours' speed does.
+/// Variables that cap the threads of numerical libraries. Results do not depend on it; the speed of other stages does.
 const THREAD_LIMITS: [&str; 5] = [
     "OMP_NUM_THREADS",
     "MKL_NUM_THREADS",
@@ -50,7 +50,7 @@ pub struct ChildRunner {
     /// Arguments before the job file.
     args: Vec<OsString>,
     warden: Arc<Warden>,
-    /// The last folder of stages' folders that was asked for, and its path without links.
+    /// The last parent of stage folders that was resolved, and its path without symbolic links.
     real: Arc<Mutex<(PathBuf, PathBuf)>>,
 }
 
@@ -62,10 +62,10 @@ impl ChildRunner {
         Self { args: args.into_iter().collect(), warden, program, real: Arc::default() }
     }
 
-    /// This program and the workers beside it, as `__stage JOB`.
+    /// This program and the workers beside it, called as `__stage JOB`.
     ///
     /// # Errors
-    /// The system does not say which file this program is.
+    /// The path of this executable cannot be determined.
     pub fn this_program() -> io::Result<Self> {
         Ok(Self::new(std::env::current_exe()?, ["__stage".into()]))
     }
@@ -77,7 +77,7 @@ impl ChildRunner {
         }
     }
 
-    /// The path of a stage's folder without links in it: as the system names it.
+    /// The path of a stage's folder without symbolic links, as `/proc` shows it.
     fn real(&self, folder: &Path) -> PathBuf {
         let (Some(above), Some(name)) = (folder.parent(), folder.file_name()) else {
             return folder.to_owned();
@@ -89,7 +89,7 @@ impl ChildRunner {
         known.1.join(name)
     }
 
-    /// A stage of our own kinds.
+    /// Starts a built-in stage.
     fn spawn(&self, program: &Path, launch: &Launch<'_>, log: &File) -> io::Result<Child> {
         let threads = launch.threads.max(1).to_string();
         let job = launch.folder.join("job.json");
@@ -111,17 +111,14 @@ impl ChildRunner {
             })
     }
 
-    /// A program that is nothing of ours.
+    /// Runs a foreign program.
     fn run_program(
         &self,
         prepared: Result<Prepared, StageError>,
         launch: &Launch<'_>,
-        hear: &mut dyn FnMut(Message),
-    ) -> io::Result<Exit> {
-        let mut prepared = match prepared {
-            Ok(prepared) => prepared,
-            Err(error) => return Ok(Exit::Failed(error.to_string())),
-        };
+        on_message: &mut dyn FnMut(Message),
+    ) -> Result<Exit, Failure> {
+        let mut prepared = prepared.map_err(|error| Failure::Stage(error.to_string()))?;
         let log = fsx::open_append(launch.log).map_err(io::Error::other)?;
         let process = &mut prepared.process;
         cap_threads(process, launch.threads);
@@ -134,33 +131,33 @@ impl ChildRunner {
         let guarded = self.warden.guard(&folder)?;
         let child = match start(process) {
             Ok(child) => child,
-            Err(error) => return Ok(Exit::Failed(unstarted::reason(process, &error))),
+            Err(error) => return Err(Failure::Stage(unstarted::reason(process, &error))),
         };
         let mut watched = Watched::new(child, Listener::new(log), launch, &folder)?;
         guarded.has_group(watched.group)?;
         watched.guarded = Some(guarded);
-        let status = watched.watch(hear)?;
-        // Whatever its end: what it did to its inputs has to be known.
-        let finished = (prepared.finish)(status);
-        Ok(match finished {
-            Ok(()) if status.success() => Exit::Done,
-            Err(error) if status.success() => Exit::Failed(error.to_string()),
-            finished => watched.unsuccessful(status, || match finished {
-                _ if watched.asked.is_some() => Exit::Stopped,
-                Err(error) => Exit::Failed(error.to_string()),
-                Ok(()) => exit(status, false, None),
-            }),
+        let status = watched.watch(on_message)?;
+        let finished = (prepared.finish)(status).map_err(|error| Failure::Stage(error.to_string()));
+        if status.success() {
+            return finished.map(|()| Exit::Done);
+        }
+        watched.unsuccessful(status, || match finished {
+            _ if watched.asked.is_some() => Ok(Exit::Stopped),
+            Err(failure) => Err(failure),
+            Ok(()) => exit(status, false, None),
         })
     }
 }
 
-/// Starts a program. One that was just copied may be "busy" for a moment: a process that another thread is starting has all
-/// that is open here, until it becomes its own program.
+/// Starts a program. One that was just copied can be "busy" for a moment: a process that another thread has forked holds all
+/// our open files until its exec.
 fn start(process: &mut Command) -> io::Result<Child> {
     let began = Instant::now();
     loop {
         match process.spawn() {
-            Err(error) if error.kind() == io::ErrorKind::ExecutableFileBusy && began.elapsed() < GLANCE => {
+            Err(error)
+                if error.kind() == io::ErrorKind::ExecutableFileBusy && began.elapsed() < POLL_INTERVAL =>
+            {
                 std::thread::sleep(Duration::from_millis(2));
             }
             result => return result,
@@ -168,7 +165,7 @@ fn start(process: &mut Command) -> io::Result<Child> {
     }
 }
 
-/// Caps the threads of libraries, where the program is not told otherwise.
+/// Caps the threads of libraries, unless the stage sets these variables itself.
 fn cap_threads(process: &mut Command, threads: usize) {
     let threads = threads.max(1).to_string();
     let given: Vec<OsString> = process.get_envs().map(|(name, _)| name.to_owned()).collect();
@@ -177,62 +174,62 @@ fn cap_threads(process: &mut Command, threads: usize) {
 }
 
 impl Runner for ChildRunner {
-    fn check(&self, worker: Option<&'static str>) -> Result<(), String> {
+    fn check(&self, worker: Option<&'static str>) -> Result<(), Box<dyn Error + Send + Sync>> {
         let program = self.program(worker);
         match fsx::entry(&program) {
             Ok(Some(Entry::File(_) | Entry::Other)) => Ok(()),
-            Ok(_) => Err(format!("the executable `{}` is not there, which runs them", program.display())),
-            Err(error) => Err(error.to_string()),
+            Ok(_) => Err(format!("their executable `{}` does not exist", program.display()).into()),
+            Err(error) => Err(error.into()),
         }
     }
 
-    fn run(&self, launch: &Launch<'_>, hear: &mut dyn FnMut(Message)) -> io::Result<Exit> {
+    fn run(&self, launch: &Launch<'_>, on_message: &mut dyn FnMut(Message)) -> Result<Exit, Failure> {
         if let Some(prepared) = launch.kind.prepare(launch.job) {
-            return self.run_program(prepared, launch, hear);
+            return self.run_program(prepared, launch, on_message);
         }
         let log = fsx::open_append(launch.log).map_err(io::Error::other)?;
         survivors::take_orphans();
         let child = self.spawn(&self.program(launch.kind.worker()), launch, &log)?;
         let mut watched = Watched::new(child, Listener::new(log), launch, &self.real(launch.folder))?;
-        let status = watched.watch(hear)?;
+        let status = watched.watch(on_message)?;
         if status.success() {
             return Ok(Exit::Done);
         }
-        Ok(watched.unsuccessful(status, || exit(status, watched.asked.is_some(), watched.listener.failure())))
+        watched.unsuccessful(status, || exit(status, watched.asked.is_some(), watched.listener.failure()))
     }
 }
 
-/// Which limit a stage has passed.
+/// The limit that a stage has exceeded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Over {
     Time,
-    /// With so many bytes.
+    /// With this many bytes.
     Memory(u64),
 }
 
 fn too_much(bytes: u64, launch: &Launch<'_>) -> String {
     let mib = |bytes: u64| bytes.div_ceil(1 << 20);
     let limit = launch.limits.memory.unwrap_or_default();
-    format!("it kept {} MiB of memory, more than the {} MiB that its `memory` allows", mib(bytes), mib(limit))
+    format!("it used {} MiB of memory, more than its limit of {} MiB (`memory`)", mib(bytes), mib(limit))
 }
 
-/// A child that runs. Dropped early, it is killed with all it started.
+/// A running child process. If it is dropped early, it is killed with all processes that it started.
 struct Watched<'a> {
     child: Child,
     group: Pid,
-    /// Ready once the child has ended; `None` where the system has no such thing.
+    /// Readable once the child has ended; `None` on systems without pidfd.
     ended: Option<rustix::fd::OwnedFd>,
     listener: Listener,
     launch: &'a Launch<'a>,
-    /// All that it started.
+    /// The processes that it started.
     followed: Followed,
-    /// Where it does not see to it itself: that it dies with the engine.
+    /// Kills it if the engine dies; for foreign programs, which do not watch the engine themselves.
     guarded: Option<Guarded<'a>>,
     asked: Option<Instant>,
     over: Option<Over>,
     began: Instant,
     measured: Instant,
-    /// Kills for want of memory before it was started, or in the second before that.
+    /// The system's count of out-of-memory kills when it was started, at most a second old.
     kills: Option<u64>,
     reaped: bool,
 }
@@ -261,25 +258,25 @@ impl<'a> Watched<'a> {
         })
     }
 
-    fn watch(&mut self, hear: &mut dyn FnMut(Message)) -> io::Result<ExitStatus> {
+    fn watch(&mut self, on_message: &mut dyn FnMut(Message)) -> io::Result<ExitStatus> {
         let mut open = true;
         while !self.has_ended()? {
-            self.stop_if_wished();
-            self.stop_if_over();
-            if self.wait_for_news(open)? {
-                open = self.listener.read(self.child.stdout.as_mut(), hear)?;
+            self.stop_if_asked();
+            self.stop_at_limits();
+            if self.wait_for_output(open)? {
+                open = self.listener.read(self.child.stdout.as_mut(), on_message)?;
             } else if let Some(guarded) = &self.guarded {
                 guarded.renew()?;
             }
-            self.followed.tidy();
+            self.followed.reap();
         }
-        // The child is dead but not yet reaped, so its number still names its group, and nobody else's.
+        // The child is dead but not reaped, so its process ID still names its group and no other.
         self.kill(Signal::KILL);
         self.followed.end_all();
         while open && self.ready(Duration::ZERO, true)? {
-            open = self.listener.read(self.child.stdout.as_mut(), hear)?;
+            open = self.listener.read(self.child.stdout.as_mut(), on_message)?;
         }
-        self.listener.finish(hear)?;
+        self.listener.finish(on_message)?;
         self.guarded = None;
         self.reaped = true;
         self.child.wait()
@@ -290,8 +287,8 @@ impl<'a> Watched<'a> {
         Ok(waitid(WaitId::Pid(self.group), options)?.is_some())
     }
 
-    /// Asks the stage to stop, and kills it once it has had its time.
-    fn stop_if_wished(&mut self) {
+    /// Asks the stage to stop, and kills it after the grace period.
+    fn stop_if_asked(&mut self) {
         match self.asked {
             None if self.launch.stop.load(Ordering::Relaxed) => {
                 self.asked = Some(Instant::now());
@@ -302,9 +299,9 @@ impl<'a> Watched<'a> {
         }
     }
 
-    /// Stops a stage that has passed a limit: one that takes too long may save its state, one that takes too much memory
-    /// has no time for that.
-    fn stop_if_over(&mut self) {
+    /// Stops a stage that exceeds a limit. One that runs too long may still write a checkpoint; one that uses too much memory
+    /// is killed at once.
+    fn stop_at_limits(&mut self) {
         let limits = &self.launch.limits;
         if self.over.is_some() || self.asked.is_some() {
             return;
@@ -314,7 +311,7 @@ impl<'a> Watched<'a> {
             self.asked = Some(Instant::now());
             self.kill(Signal::TERM);
         } else if let Some(limit) = limits.memory
-            && self.measured.elapsed() >= MEASURE
+            && self.measured.elapsed() >= MEASURE_INTERVAL
         {
             self.measured = Instant::now();
             if let Some(bytes) = memory::resident(self.group).filter(|bytes| *bytes > limit) {
@@ -324,41 +321,49 @@ impl<'a> Watched<'a> {
         }
     }
 
-    /// How it ended without success; `otherwise` where no limit was the cause. Where its log is not whole, that is said: it
-    /// may be just what one looks for.
-    fn unsuccessful(&self, status: ExitStatus, otherwise: impl FnOnce() -> Exit) -> Exit {
+    /// How it ended without success; `otherwise` where no limit was the cause. The failure mentions an incomplete log, since the
+    /// missing part may be the one that explains it.
+    fn unsuccessful(
+        &self,
+        status: ExitStatus,
+        otherwise: impl FnOnce() -> Result<Exit, Failure>,
+    ) -> Result<Exit, Failure> {
         match (self.cause(status, otherwise), self.listener.lost()) {
-            (Exit::Failed(text), Some(lost)) => Exit::Failed(format!(
+            (Err(Failure::Stage(text)), Some(lost)) => Err(Failure::Stage(format!(
                 "{text}; a part of its log is lost: `{}`: {lost}",
                 self.launch.log.display()
-            )),
+            ))),
             (exit, _) => exit,
         }
     }
 
-    fn cause(&self, status: ExitStatus, otherwise: impl FnOnce() -> Exit) -> Exit {
+    fn cause(
+        &self,
+        status: ExitStatus,
+        otherwise: impl FnOnce() -> Result<Exit, Failure>,
+    ) -> Result<Exit, Failure> {
         match self.over {
-            Some(Over::Time) => Exit::TimedOut,
-            Some(Over::Memory(bytes)) => Exit::OutOfMemory(too_much(bytes, self.launch)),
-            None if self.killed_for_memory(status) => Exit::OutOfMemory(
-                "it was killed by the system, whose memory ran out; give it fewer neighbours (`--jobs`)"
+            Some(Over::Time) => Err(Failure::TimedOut(self.launch.limits.timeout.unwrap_or_default())),
+            Some(Over::Memory(bytes)) => Err(Failure::OutOfMemory(too_much(bytes, self.launch))),
+            None if self.killed_for_memory(status) => Err(Failure::OutOfMemory(
+                "the system ran out of memory and killed it; run fewer stages at the same time (`--jobs`)"
                     .to_owned(),
-            ),
+            )),
             None => otherwise(),
         }
     }
 
-    /// True where the system has killed something since the stage began, and the stage was killed, but not by us.
+    /// True where the stage was killed, not by us, and the system has killed some process for memory since the stage began.
     fn killed_for_memory(&self, status: ExitStatus) -> bool {
         let killed = status.signal() == Some(Signal::KILL.as_raw()) && self.asked.is_none();
         killed && self.kills.is_some() && memory::kills() > self.kills
     }
 
-    /// Waits until the child says something or ends, but not for long. True where there is something to read.
-    fn wait_for_news(&self, open: bool) -> io::Result<bool> {
-        // Without a notice of the end, a child that closed its output has to be looked after.
+    /// Waits for output or the end of the child, at most one polling interval. True where there is output to read.
+    fn wait_for_output(&self, open: bool) -> io::Result<bool> {
+        // Without pidfd, the end of a child that closed its output can only be polled.
         let blind = self.ended.is_none() && !open;
-        self.ready(if blind { Duration::from_millis(1) } else { GLANCE }, open)
+        self.ready(if blind { Duration::from_millis(1) } else { POLL_INTERVAL }, open)
     }
 
     fn ready(&self, timeout: Duration, open: bool) -> io::Result<bool> {
@@ -375,7 +380,7 @@ impl<'a> Watched<'a> {
     }
 
     fn kill(&self, signal: Signal) {
-        // A group that is gone already is what was wanted.
+        // A group that no longer exists is as good as killed.
         let _ = kill_process_group(self.group, signal);
     }
 }
@@ -384,7 +389,7 @@ impl Drop for Watched<'_> {
     fn drop(&mut self) {
         if !self.reaped {
             self.kill(Signal::KILL);
-            // It has to be dead before its orphans can be known.
+            // Its orphans are known only once it is dead.
             let _ = waitid(WaitId::Pid(self.group), WaitIdOptions::EXITED | WaitIdOptions::NOWAIT);
             self.followed.end_all();
             self.guarded = None;
@@ -403,22 +408,21 @@ fn pidfd(_: Pid) -> Option<rustix::fd::OwnedFd> {
     None
 }
 
-/// How it ended, in words.
-fn exit(status: ExitStatus, asked: bool, failure: Option<String>) -> Exit {
-    match (status.code(), status.signal()) {
-        (Some(0), _) => Exit::Done,
-        (Some(code), _) if asked && code == i32::from(EXIT_STOPPED) => Exit::Stopped,
-        (None, Some(_)) if asked => Exit::Stopped,
-        (Some(code), _) if code == i32::from(EXIT_STOPPED) => {
-            Exit::Failed("it was asked to stop, but not by this run".to_owned())
+/// How a process ended; `asked` where this run asked it to stop, `failure` the error that the stage reported.
+fn exit(status: ExitStatus, asked: bool, failure: Option<String>) -> Result<Exit, Failure> {
+    let failed = match (status.code(), status.signal()) {
+        (Some(0), _) => return Ok(Exit::Done),
+        (Some(code), _) if asked && code == i32::from(EXIT_STOPPED) => return Ok(Exit::Stopped),
+        (None, Some(_)) if asked => return Ok(Exit::Stopped),
+        (Some(code), _) if code == i32::from(EXIT_STOPPED) => "another process asked it to stop".to_owned(),
+        (_, Some(signal)) => format!("it was killed by {}", signal_name(signal)),
+        (Some(101), _) if failure.is_none() => "it panicked; see the log".to_owned(),
+        (Some(code), _) => {
+            failure.unwrap_or_else(|| format!("it ended with exit code {code} and reported no error"))
         }
-        (_, Some(signal)) => Exit::Failed(format!("it was killed by {}", signal_name(signal))),
-        (Some(101), _) if failure.is_none() => Exit::Failed("it panicked; the log says where".to_owned()),
-        (Some(code), _) => Exit::Failed(
-            failure.unwrap_or_else(|| format!("it ended with exit code {code} without saying why")),
-        ),
-        (None, None) => Exit::Failed(format!("it ended with {status}")),
-    }
+        (None, None) => format!("it ended with {status}"),
+    };
+    Err(Failure::Stage(failed))
 }
 
 fn signal_name(signal: i32) -> String {
@@ -426,15 +430,15 @@ fn signal_name(signal: i32) -> String {
         1 => "SIGHUP",
         2 => "SIGINT",
         3 => "SIGQUIT",
-        4 => "SIGILL (an instruction that this processor does not have)",
-        6 => "SIGABRT (it gave itself up; the log says why)",
+        4 => "SIGILL (an instruction that this processor does not support)",
+        6 => "SIGABRT (it aborted; see the log)",
         7 => "SIGBUS",
         8 => "SIGFPE",
-        9 => "SIGKILL (by somebody, or by the system because memory ran out)",
-        11 => "SIGSEGV (a wrong access to memory)",
+        9 => "SIGKILL (by a user, or by the system when it ran out of memory)",
+        11 => "SIGSEGV (invalid memory access)",
         15 => "SIGTERM",
-        24 => "SIGXCPU (its limit of processor time)",
-        25 => "SIGXFSZ (its limit of file size)",
+        24 => "SIGXCPU (CPU time limit)",
+        25 => "SIGXFSZ (file size limit)",
         _ => return format!("signal {signal}"),
     };
     name.to_owned()
@@ -445,25 +449,28 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_end_is_told_in_words() {
-        let status = ExitStatus::from_raw;
-        let failed = |text: &str| Exit::Failed(text.to_owned());
-        assert_eq!(exit(status(0), false, None), Exit::Done);
-        assert_eq!(exit(status(0), true, None), Exit::Done);
-        assert_eq!(exit(status(75 << 8), true, None), Exit::Stopped);
-        assert_eq!(exit(status(9), true, None), Exit::Stopped);
-        assert_eq!(exit(status(1 << 8), true, Some("no".into())), failed("no"));
-        assert_eq!(exit(status(7 << 8), false, None), failed("it ended with exit code 7 without saying why"));
-        let Exit::Failed(text) = exit(status(9), false, None) else { panic!() };
+    fn every_way_a_process_ends_has_a_description() {
+        let exit = |raw, asked, failure: Option<&str>| {
+            exit(ExitStatus::from_raw(raw), asked, failure.map(str::to_owned))
+                .map_err(|failure| failure.to_string())
+        };
+        assert_eq!(exit(0, false, None), Ok(Exit::Done));
+        assert_eq!(exit(0, true, None), Ok(Exit::Done));
+        assert_eq!(exit(75 << 8, true, None), Ok(Exit::Stopped));
+        assert_eq!(exit(9, true, None), Ok(Exit::Stopped));
+        assert_eq!(exit(1 << 8, true, Some("no")), Err("no".to_owned()));
+        let reported_nothing = "it ended with exit code 7 and reported no error".to_owned();
+        assert_eq!(exit(7 << 8, false, None), Err(reported_nothing));
+        let text = exit(9, false, None).unwrap_err();
         assert!(text.contains("SIGKILL") && text.contains("memory"), "{text}");
-        assert!(matches!(exit(status(75 << 8), false, None), Exit::Failed(_)));
+        assert!(exit(75 << 8, false, None).is_err());
     }
 
     #[test]
-    fn a_worker_is_looked_for_beside_the_program() {
+    fn a_worker_is_expected_beside_the_program() {
         let runner = ChildRunner::new("/opt/bin/dril-pipe", []);
         assert_eq!(runner.program(Some("dril-pipe-learn")), Path::new("/opt/bin/dril-pipe-learn"));
-        let error = runner.check(Some("dril-pipe-learn")).unwrap_err();
-        assert!(error.contains("`/opt/bin/dril-pipe-learn` is not there"), "{error}");
+        let error = runner.check(Some("dril-pipe-learn")).unwrap_err().to_string();
+        assert!(error.contains("`/opt/bin/dril-pipe-learn` does not exist"), "{error}");
     }
 }

@@ -1,123 +1,112 @@
-//! The dispatcher: the one owner of a run's state. It decides what starts when, and tells; workers work, printers listen.
+//! The dispatcher: the only owner of a run's state. It decides what starts when and emits all events; workers build stages,
+//! reporters listen.
 
 mod backfill;
-mod settle;
+mod transitions;
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::HashMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
+use super::context::RunContext;
+use super::event::{Event, Outcome};
+use super::executed::{Executed, Kept};
 use super::journal::Journal;
-use super::ready::{Elsewhere, Ready};
+use super::options::POLL_INTERVAL;
+use super::ready::{Ready, Retries};
 use super::resources::Pool;
-use super::work::{News, Site, Task};
-use super::{Event, Executed, Kept, Outcome};
+use super::task::{Task, WorkerEvent};
 use crate::fsx::Lock;
-use crate::plan::{self, Cached, Order, OutsideFile, Reason, Verdict};
-use crate::resolve::{Graph, StageIndex};
+use crate::plan::{self, Cached, Reason, Verdict};
+use crate::resolve::StageIndex;
 use crate::store::{History, Key, Outputs, Run, StoreError};
 
-/// How soon a wish to stop is noticed.
-const GLANCE: Duration = Duration::from_millis(50);
+/// Results that may be written to disk at the same time; a slow disk slows the run down here.
+const MAX_COMMITS: usize = 32;
 
-/// Results that may be on their way to the disk at the same time; a slow disk slows the run down here.
-const COMMITS: usize = 32;
-
-/// How many of a failed stage's last lines are told.
-const TAIL: usize = 20;
-/// And how many characters of each.
+/// The last log lines of a failed stage that its event carries.
+const TAIL_LINES: usize = 20;
+/// Characters of each of these lines.
 const TAIL_WIDTH: usize = 300;
 
-/// What the run is about.
-#[derive(Clone, Copy)]
-pub(super) struct Shape<'a> {
-    pub graph: &'a Graph,
-    pub files: &'a BTreeMap<String, OutsideFile>,
-    pub order: &'a Order,
-    /// Stages that run although they are cached.
-    pub forced: &'a BTreeSet<StageIndex>,
-}
-
-/// Where a stage stands.
+/// The state of a stage.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
-    /// Stages that feed it are not done, or it waits for its turn.
+    /// Stages upstream are not done, or it waits for its turn.
     Pending,
-    /// A stage with the same key runs here.
+    /// Another stage of this run with the same key is running.
     Twin,
     Running,
     Done,
-    /// Failed, skipped or stopped: counted and told.
+    /// Failed, skipped or stopped: counted and reported.
     Over,
 }
 
-/// Starts a worker for a task.
+/// Hands a task to a worker.
 pub(super) type Start<'s, 'a> = dyn FnMut(Task<'a>) + 's;
 
 /// The state of a run.
 pub(super) struct Dispatcher<'a, 's> {
-    shape: Shape<'a>,
-    site: Site<'a>,
+    context: RunContext<'a>,
     began: Instant,
     history: History,
-    /// Held since the plan was made, until the run has noted what it relies on.
+    /// The lock against `gc` from the plan, until the run has its own list of what it relies on.
     held: Option<Lock>,
     journal: Journal<'a, 's>,
     state: Vec<State>,
     keys: Vec<Option<Key>>,
     why: Vec<Option<Vec<Reason>>>,
     done: Vec<Option<Arc<Outputs>>>,
-    /// How many stages that feed it are not done.
+    /// For each stage, how many stages that feed it are not done.
     left: Vec<u32>,
     costs: Vec<f64>,
     ready: Ready,
-    elsewhere: Elsewhere,
-    /// Keys that are being built here, with the other stages that have the same key.
+    /// Stages whose key another process is building.
+    elsewhere: Retries,
+    /// Keys that are being built by this run, with the other stages that have the same key.
     twins: HashMap<Key, Vec<StageIndex>>,
-    /// What was built here and is on its way to the disk: its lock is held until it is there.
+    /// Outputs that were built by this run and are not durable yet: their locks are held until they are.
     underway: HashMap<Key, Arc<Outputs>>,
     threads_used: usize,
     pool: Pool,
     running: usize,
-    /// When each running stage began, for what may slip in before one that has no room.
+    /// Start times of running stages, for backfilling.
     pace: backfill::Pace,
     committing: usize,
     stopping: bool,
-    /// The failure after which nothing is started any more.
+    /// The failure after which no further stage starts (`--fail-fast`).
     halted: Option<StageIndex>,
     outcome: Outcome,
 }
 
 impl<'a, 's> Dispatcher<'a, 's> {
     pub fn new(
-        shape: Shape<'a>,
+        context: RunContext<'a>,
         (history, held): (History, Option<Lock>),
-        site: Site<'a>,
         began: Instant,
         sink: &'s mut dyn FnMut(&Event),
     ) -> Self {
-        let count = shape.graph.stages.node_count();
+        let count = context.graph.stages.node_count();
         Self {
-            shape,
-            site,
+            context,
             began,
             history,
             held,
-            journal: Journal::new(shape.graph, began, sink),
+            journal: Journal::new(context.graph, began, sink),
             state: vec![State::Pending; count],
             keys: vec![None; count],
             why: vec![None; count],
             done: vec![None; count],
-            left: shape.order.feeders.clone(),
+            left: context.order.feeders.clone(),
             costs: Vec::new(),
             ready: Ready::default(),
-            elsewhere: Elsewhere::default(),
+            elsewhere: Retries::default(),
             twins: HashMap::new(),
             underway: HashMap::new(),
             threads_used: 0,
-            pool: Pool::new(&site.options.resources),
+            pool: Pool::new(&context.options.resources),
             running: 0,
             pace: backfill::Pace::default(),
             committing: 0,
@@ -131,15 +120,15 @@ impl<'a, 's> Dispatcher<'a, 's> {
     pub fn run(
         &mut self,
         steps: Vec<(StageIndex, Verdict)>,
-        news: &Receiver<News>,
+        events: &Receiver<WorkerEvent>,
         stop: &AtomicBool,
         start: &mut Start<'_, 'a>,
     ) -> Result<(), StoreError> {
         let threads = self.budget();
-        self.journal.tell(&Event::Started { stages: steps.len(), threads });
-        self.take_over(steps)?;
+        self.journal.emit(&Event::Started { stages: steps.len(), threads });
+        self.apply(steps)?;
         loop {
-            self.look_at_stop(stop);
+            self.check_stop(stop);
             for stage in self.elsewhere.due(Instant::now()) {
                 self.ready.push(stage, self.costs[stage.index()]);
             }
@@ -149,10 +138,10 @@ impl<'a, 's> Dispatcher<'a, 's> {
                 return Ok(());
             }
             self.journal.write(false)?;
-            match news.recv_timeout(self.patience()) {
+            match events.recv_timeout(self.timeout()) {
                 Ok(first) => {
-                    for item in std::iter::once(first).chain(news.try_iter()) {
-                        self.hear(item)?;
+                    for event in std::iter::once(first).chain(events.try_iter()) {
+                        self.handle(event)?;
                     }
                 }
                 Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {}
@@ -160,7 +149,7 @@ impl<'a, 's> Dispatcher<'a, 's> {
         }
     }
 
-    /// Counts what never started, writes what is left to write, and gives the result.
+    /// Counts the stages that never started, writes what is left to write, and returns the result.
     pub fn finish(mut self) -> Result<Executed, StoreError> {
         for index in 0..self.state.len() {
             let stage = StageIndex::new(index);
@@ -170,7 +159,7 @@ impl<'a, 's> Dispatcher<'a, 's> {
                 _ => {}
             }
         }
-        // Stopped when all was done already: nothing is left for which there was no time.
+        // If everything was done when the time was up, the run was not cut short.
         self.outcome.out_of_time &= self.outcome.stopped > 0;
         self.outcome.took = self.began.elapsed();
         let run = self.journal.finish(&self.outcome)?;
@@ -185,14 +174,14 @@ impl<'a, 's> Dispatcher<'a, 's> {
         Ok(Executed { outcome: self.outcome, outputs: self.done, folder, keys: self.keys, _kept: kept })
     }
 
-    /// Takes the plan's verdicts over. What is cached is done at once; the rest becomes ready in turn.
-    fn take_over(&mut self, steps: Vec<(StageIndex, Verdict)>) -> Result<(), StoreError> {
+    /// Applies the plan's verdicts: cache hits are done at once; the rest becomes ready in turn.
+    fn apply(&mut self, steps: Vec<(StageIndex, Verdict)>) -> Result<(), StoreError> {
         let mut first = Vec::new();
         for (stage, verdict) in steps {
             match verdict {
                 Verdict::Cached { key, outputs } => {
                     self.cached(stage, key, outputs)?;
-                    for reader in self.shape.order.readers(stage) {
+                    for reader in self.context.order.readers(stage) {
                         self.left[reader.index()] -= 1;
                     }
                 }
@@ -201,7 +190,7 @@ impl<'a, 's> Dispatcher<'a, 's> {
             }
         }
         if self.outcome.cached < self.state.len() {
-            self.costs = self.shape.order.costs_to_the_end(self.shape.graph);
+            self.costs = self.context.order.costs_to_the_end(self.context.graph);
         }
         for (stage, key, why) in first {
             self.why[stage.index()] = Some(why);
@@ -210,26 +199,26 @@ impl<'a, 's> Dispatcher<'a, 's> {
         Ok(())
     }
 
-    fn look_at_stop(&mut self, stop: &AtomicBool) {
-        let late = self.site.options.deadline.is_some_and(|deadline| Instant::now() >= deadline);
+    fn check_stop(&mut self, stop: &AtomicBool) {
+        let late = self.context.options.deadline.is_some_and(|deadline| Instant::now() >= deadline);
         if !self.stopping && (late || stop.load(Ordering::Relaxed)) {
             self.stopping = true;
             self.outcome.out_of_time = late;
-            self.site.halt.store(true, Ordering::Relaxed);
-            self.journal.tell(&Event::Stopping { out_of_time: late });
+            self.context.halt.store(true, Ordering::Relaxed);
+            self.journal.emit(&Event::Stopping { out_of_time: late });
         }
     }
 
     fn start_ready(&mut self, start: &mut Start<'_, 'a>) -> Result<(), StoreError> {
-        while !self.stopping && self.halted.is_none() && self.committing < COMMITS {
+        while !self.stopping && self.halted.is_none() && self.committing < MAX_COMMITS {
             let Some(first) = self.ready.peek() else { break };
             let free = self.budget().saturating_sub(self.threads_used);
-            let stage = if !self.pool.has(&self.shape.graph.stages[first].resources) {
+            let stage = if !self.pool.has(&self.context.graph.stages[first].resources) {
                 self.pass_by(first, free)
             } else if self.running == 0 || self.threads(first) <= free {
                 self.ready.pop()
             } else {
-                self.slip_in(first, free)
+                self.backfill(first, free)
             };
             let Some(stage) = stage else { break };
             self.start(stage, start)?;
@@ -237,7 +226,7 @@ impl<'a, 's> Dispatcher<'a, 's> {
         Ok(())
     }
 
-    /// Starts a stage, unless it was made in the meantime, or is being made here or elsewhere.
+    /// Starts a stage, unless its key was built in the meantime or is being built, here or by another process.
     fn start(&mut self, stage: StageIndex, start: &mut Start<'_, 'a>) -> Result<(), StoreError> {
         let Some(key) = self.keys[stage.index()] else { return Ok(()) };
         if let Some(twins) = self.twins.get_mut(&key) {
@@ -246,20 +235,20 @@ impl<'a, 's> Dispatcher<'a, 's> {
             return Ok(());
         }
         if let Some(outputs) = self.underway.get(&key).map(Arc::clone) {
-            return self.settle(stage, key, outputs);
+            return self.found(stage, key, outputs);
         }
         let run = self.open_run()?;
-        let Some(lock) = self.site.store.try_lock(&key)? else {
+        let Some(lock) = self.context.store.try_lock(&key)? else {
             if self.elsewhere.note(stage, Instant::now()) {
-                self.journal.tell(&Event::Waiting { stage });
+                self.journal.emit(&Event::Waiting { stage });
             }
             return Ok(());
         };
         self.elsewhere.remove(stage);
-        // Under the lock nobody else makes it, but somebody may have, since the plan was made.
+        // While we hold the lock nobody else builds it, but somebody may have since the plan was made.
         if let Cached::Yes(outputs) = self.look_up(stage, &key)? {
             lock.remove()?;
-            return self.settle(stage, key, outputs);
+            return self.found(stage, key, outputs);
         }
         run.rely_on([key], [])?;
         let why = self.take_why(stage)?;
@@ -268,57 +257,64 @@ impl<'a, 's> Dispatcher<'a, 's> {
         self.running += 1;
         self.threads_used += self.threads(stage);
         self.pace.began(stage, self.threads(stage), self.own_cost(stage));
-        self.journal.tell(&Event::StageStarted { stage, key, why });
-        let units = self.pool.take(stage, &self.shape.graph.stages[stage].resources);
-        start(Task::new(stage, key, (lock, units), run, self.shape, &self.done, self.site));
+        self.journal.emit(&Event::StageStarted { stage, key, why });
+        let units = self.pool.take(stage, &self.context.graph.stages[stage].resources);
+        start(Task::new(stage, key, (lock, units), run, &self.done, self.context));
         Ok(())
     }
 
-    /// The run's folder, made when the first stage starts. From then on the run's own note says what it relies on.
+    /// The run's folder, created when the first stage starts. From then on the run's own list protects what it relies on.
     fn open_run(&mut self) -> Result<Arc<Run>, StoreError> {
         if let Some(run) = self.journal.run() {
             return Ok(Arc::clone(run));
         }
-        let done = self.shape.graph.stages.node_indices().zip(&self.keys).zip(&self.done);
+        let done = self.context.graph.stages.node_indices().zip(&self.keys).zip(&self.done);
         let done: Vec<(StageIndex, &Key)> = done
             .filter_map(|((stage, key), done)| Some((stage, key.as_ref().filter(|_| done.is_some())?)))
             .collect();
-        let run = self.journal.open(self.site.store, self.site.options, &done)?;
+        let run = self.journal.open(self.context.store, self.context.options, &done)?;
         run.rely_on(done.into_iter().map(|(_, key)| *key), [])?;
         self.held = None;
         Ok(run)
     }
 
-    fn hear(&mut self, news: News) -> Result<(), StoreError> {
-        match news {
-            News::Said(stage, dril_stage_api::Message::Progress(progress)) => {
-                self.journal.tell(&Event::Progressed { stage, progress });
-                Ok(())
+    fn handle(&mut self, event: WorkerEvent) -> Result<(), StoreError> {
+        match event {
+            WorkerEvent::Message(stage, dril_stage_api::Message::Progress(progress)) => {
+                self.journal.emit(&Event::Progressed { stage, progress });
             }
-            News::Said(..) => Ok(()),
-            News::Retrying(stage, retry, error, pause) => {
-                let of = self.shape.graph.stages[stage].limits.retries;
-                self.journal.tell(&Event::Retrying { stage, retry, of, error, pause });
-                Ok(())
+            WorkerEvent::Message(..) => {}
+            WorkerEvent::Retrying { stage, retry, failure, pause } => {
+                let of = self.context.graph.stages[stage].limits.retries;
+                let failure = Arc::new(failure);
+                self.journal.emit(&Event::Retrying { stage, retry, of, failure, pause });
             }
-            News::Built(stage, built) => {
-                self.running -= 1;
-                self.threads_used -= self.threads(stage);
-                self.pace.ended(stage);
-                self.pool.give_back(stage);
-                let key = self.keys[stage.index()];
-                let twins = key.and_then(|key| self.twins.remove(&key)).unwrap_or_default();
-                match (built, key) {
-                    (Ok(outputs), Some(key)) => self.built(stage, key, outputs, &twins),
-                    (Ok(_), None) => Ok(()),
-                    (Err(failure), _) => {
-                        self.not_built(stage, failure, &twins);
-                        Ok(())
-                    }
+            WorkerEvent::Built(stage, outputs) => {
+                let twins = self.ended(stage);
+                if let Some(key) = self.keys[stage.index()] {
+                    self.built(stage, key, outputs, &twins)?;
                 }
             }
-            News::Committed(stage, committed) => self.committed(stage, committed),
+            WorkerEvent::Failed(stage, failure) => {
+                let twins = self.ended(stage);
+                self.not_built(stage, failure, &twins);
+            }
+            WorkerEvent::Stopped(stage) => {
+                self.ended(stage);
+                self.stopped(stage);
+            }
+            WorkerEvent::Committed(stage, committed) => self.committed(stage, committed)?,
         }
+        Ok(())
+    }
+
+    /// Frees what a running stage occupied. Returns the other stages with its key.
+    fn ended(&mut self, stage: StageIndex) -> Vec<StageIndex> {
+        self.running -= 1;
+        self.threads_used -= self.threads(stage);
+        self.pace.ended(stage);
+        self.pool.give_back(stage);
+        self.keys[stage.index()].and_then(|key| self.twins.remove(&key)).unwrap_or_default()
     }
 
     fn make_ready(&mut self, stage: StageIndex, key: Key) {
@@ -326,14 +322,15 @@ impl<'a, 's> Dispatcher<'a, 's> {
         self.ready.push(stage, self.costs[stage.index()]);
     }
 
-    /// Looks whether a key is made; if so, it stays until this run is over.
+    /// Looks a key up; a cache hit is protected from `gc` until this run is over.
     fn look_up(&self, stage: StageIndex, key: &Key) -> Result<Cached, StoreError> {
-        if self.shape.forced.contains(&stage) {
+        if self.context.forced.contains(&stage) {
             return Ok(Cached::No(Some(Reason::Forced)));
         }
         let run = self.journal.run();
-        let _held = if run.is_some() { self.site.store.hold()? } else { None };
-        let cached = plan::look_up(self.site.store, &self.history, &self.shape.graph.stages[stage], key)?;
+        let _held = if run.is_some() { self.context.store.hold()? } else { None };
+        let cached =
+            plan::look_up(self.context.store, &self.history, &self.context.graph.stages[stage], key)?;
         if let (Some(run), Cached::Yes(_)) = (run, &cached) {
             run.rely_on([*key], [])?;
         }
@@ -344,8 +341,8 @@ impl<'a, 's> Dispatcher<'a, 's> {
         if let Some(why) = self.why[stage.index()].take() {
             return Ok(why);
         }
-        let Shape { graph, files, .. } = self.shape;
-        let (store, node) = (self.site.store, &graph.stages[stage]);
+        let RunContext { graph, files, store, .. } = self.context;
+        let node = &graph.stages[stage];
         let mut why = plan::why(graph, node, &self.done, files, store, &self.history)?;
         if why.is_empty() {
             why.push(Reason::New);
@@ -353,34 +350,31 @@ impl<'a, 's> Dispatcher<'a, 's> {
         Ok(why)
     }
 
-    fn note(&mut self, stage: StageIndex) -> Result<(), StoreError> {
+    /// Adds a finished stage to the history that the next run starts from.
+    fn record_in_history(&mut self, stage: StageIndex) -> Result<(), StoreError> {
         match (self.keys[stage.index()], &self.done[stage.index()]) {
-            (Some(key), Some(outputs)) => self.history.note(&self.shape.graph.stages[stage].id, key, outputs),
+            (Some(key), Some(outputs)) => {
+                self.history.note(&self.context.graph.stages[stage].id, key, outputs)
+            }
             _ => Ok(()),
         }
     }
 
-    fn log_stem(&self, stage: StageIndex) -> String {
-        log_stem(self.shape.graph, stage, self.keys[stage.index()].as_ref())
+    fn log_name(&self, stage: StageIndex) -> String {
+        self.context.log_name(stage, self.keys[stage.index()].as_ref())
     }
 
     fn threads(&self, stage: StageIndex) -> usize {
-        self.shape.graph.stages[stage].needs.threads.max(1)
+        self.context.graph.stages[stage].needs.threads.max(1)
     }
 
     fn budget(&self) -> usize {
-        self.site.options.threads.max(1)
+        self.context.options.threads.max(1)
     }
 
-    fn patience(&self) -> Duration {
+    /// How long to wait for the next event.
+    fn timeout(&self) -> Duration {
         let next = self.elsewhere.next().map(|next| next.saturating_duration_since(Instant::now()));
-        next.map_or(GLANCE, |next| next.min(GLANCE))
+        next.map_or(POLL_INTERVAL, |next| next.min(POLL_INTERVAL))
     }
-}
-
-/// The name of a stage's log: readable, and unique through the key.
-pub(super) fn log_stem(graph: &Graph, stage: StageIndex, key: Option<&Key>) -> String {
-    let key = key.map(Key::short).unwrap_or_default();
-    let stem: String = graph.stages[stage].file_stem().chars().take(40).collect();
-    format!("{stem}-{key}")
 }

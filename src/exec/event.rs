@@ -1,99 +1,99 @@
-//! What happens during a run. One closed enum: the dispatcher alone owns the state and tells; printers listen.
+//! Events of a run. One closed enum: only the dispatcher emits them, and reporters listen.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use dril_stage_api::Progress;
 
+use super::failure::Failure;
 use crate::plan::Reason;
 use crate::resolve::StageIndex;
 use crate::store::Key;
 
-/// Something that happened.
+/// An event of a run.
 #[derive(Debug, Clone)]
 pub enum Event {
-    /// The run begins: stages in all, of these certainly cached, threads to use.
+    /// The run begins.
     Started {
-        /// All stages of the goal.
+        /// Number of stages in the goal.
         stages: usize,
-        /// Stages that can run side by side, counted in threads.
+        /// Threads that running stages may keep busy.
         threads: usize,
     },
-    /// Nothing to do: the record is there.
+    /// Cache hit: the stage's record and outputs exist.
     Cached {
-        /// Which.
+        /// The stage.
         stage: StageIndex,
         /// Its key.
         key: Key,
     },
-    /// Another process builds this key; waiting for it.
+    /// Another process is building this key; the run waits for it.
     Waiting {
-        /// Which.
+        /// The stage.
         stage: StageIndex,
     },
     /// The stage's process was started.
     StageStarted {
-        /// Which.
+        /// The stage.
         stage: StageIndex,
         /// Its key.
         key: Key,
         /// Why it runs.
         why: Vec<Reason>,
     },
-    /// How far it is.
+    /// The stage reported its progress.
     Progressed {
-        /// Which.
+        /// The stage.
         stage: StageIndex,
-        /// How far.
+        /// Its progress.
         progress: Progress,
     },
-    /// It finished and its outputs are published.
+    /// It finished, and its outputs are in the store.
     StageFinished {
-        /// Which.
+        /// The stage.
         stage: StageIndex,
         /// How long it took.
         took: Duration,
     },
     /// It failed.
     StageFailed {
-        /// Which.
+        /// The stage.
         stage: StageIndex,
-        /// The error, one or more lines.
-        error: String,
-        /// What sort of failure it is.
-        cause: Cause,
-        /// The last lines of its log.
+        /// Why.
+        failure: Arc<Failure>,
+        /// The last lines of its log; a note in parentheses where the log cannot be read.
         log_tail: Vec<String>,
-        /// The full log.
+        /// The path of the full log.
         log: std::path::PathBuf,
     },
-    /// It failed and will be tried again.
+    /// It failed and will be retried.
     Retrying {
-        /// Which.
+        /// The stage.
         stage: StageIndex,
-        /// The number of the new try, from 1.
+        /// The number of the retry, from 1.
         retry: u32,
-        /// How many new tries there are.
+        /// The number of retries that it has.
         of: u32,
-        /// Why the last one failed.
-        error: String,
-        /// How long until the new one begins.
+        /// Why the last try failed.
+        failure: Arc<Failure>,
+        /// The pause before the retry.
         pause: Duration,
     },
-    /// It cannot run because a stage before it failed.
+    /// It cannot run because a stage upstream failed.
     Skipped {
-        /// Which.
+        /// The stage.
         stage: StageIndex,
         /// The stage that failed.
         because: StageIndex,
     },
-    /// The run was asked to stop, or its time is over; running stages are being stopped.
+    /// The run was asked to stop, or its time is up; running stages are being stopped.
     Stopping {
-        /// True where its time is over.
+        /// True where the time is up.
         out_of_time: bool,
     },
-    /// A stage stopped cleanly on request, and will go on from its checkpoint.
+    /// A stage stopped on request; the next run resumes it from its checkpoint.
     Stopped {
-        /// Which.
+        /// The stage.
         stage: StageIndex,
     },
     /// The run ended.
@@ -103,52 +103,27 @@ pub enum Event {
     },
 }
 
-/// Why a stage failed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Cause {
-    /// By its own fault.
-    Failed,
-    /// It took more memory than it may, or than there is.
-    Memory,
-    /// It took longer than it may.
-    Timeout,
-    /// The store failed it.
-    Store,
-}
-
-impl Cause {
-    /// Its name in JSON.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Failed => "failed",
-            Self::Memory => "memory",
-            Self::Timeout => "timeout",
-            Self::Store => "store",
-        }
-    }
-}
-
-/// How a run ended.
+/// The counts of a run.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Outcome {
-    /// Stages whose record was there.
+    /// Cache hits.
     pub cached: usize,
     /// Stages that ran and finished.
     pub ran: usize,
     /// Stages that failed.
     pub failed: usize,
-    /// Stages that could not run because one before them failed.
+    /// Stages that could not run because a stage upstream failed.
     pub skipped: usize,
-    /// Stages that were stopped or never started because the run was asked to stop.
+    /// Stages that were stopped, or never started, because the run was asked to stop.
     pub stopped: usize,
-    /// True where the run stopped because its time was over.
+    /// True where the run stopped because its time was up.
     pub out_of_time: bool,
     /// Wall time.
     pub took: Duration,
 }
 
 impl Outcome {
-    /// True where every stage of the goal is done.
+    /// True where every stage of the goal is up to date.
     pub fn is_complete(&self) -> bool {
         self.failed == 0 && self.skipped == 0 && self.stopped == 0
     }

@@ -1,36 +1,36 @@
-//! Events in the order that whoever listens may rely on: a stage starts after those that feed it have finished.
+//! Puts events into the order that reporters rely on: a stage starts after the stages that feed it have finished.
 //!
-//! A stage is started as soon as what it reads can be read, which is before that is durable and its maker counts as
-//! finished. Told as it happens, a stage would begin before its input is there.
+//! In fact a stage starts as soon as its inputs can be read, which is before they are durable and count as finished. Reported
+//! as it happens, a stage would seem to start before its input exists.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::Event;
+use super::event::Event;
 use crate::plan;
 use crate::resolve::{Graph, StageIndex};
 
-/// Holds events back until it is their turn.
+/// Delays events until it is their turn.
 #[derive(Debug, Default)]
 pub(super) struct InOrder {
-    /// Stages that have started, and not ended.
+    /// Stages that have started and not ended.
     open: BTreeSet<StageIndex>,
-    /// The events of stages that started before one that feeds them has ended.
+    /// The events of stages that started before a stage that feeds them ended.
     held: BTreeMap<StageIndex, Vec<Event>>,
 }
 
 impl InOrder {
-    /// The events that are to be told now that `event` has happened.
+    /// The events to emit now that `event` has happened.
     pub fn next(&mut self, graph: &Graph, event: &Event) -> Vec<Event> {
-        let mut told = Vec::new();
-        self.take(graph, event.clone(), &mut told);
-        told
+        let mut emitted = Vec::new();
+        self.take(graph, event.clone(), &mut emitted);
+        emitted
     }
 
-    fn take(&mut self, graph: &Graph, event: Event, told: &mut Vec<Event>) {
+    fn take(&mut self, graph: &Graph, event: Event, emitted: &mut Vec<Event>) {
         let mut open = vec![event];
         while let Some(event) = open.pop() {
             let Some(stage) = stage_of(&event) else {
-                told.push(event);
+                emitted.push(event);
                 continue;
             };
             if let Some(held) = self.held.get_mut(&stage) {
@@ -52,15 +52,15 @@ impl InOrder {
                     | Event::Stopped { .. }
                     | Event::Skipped { .. }
             );
-            told.push(event);
+            emitted.push(event);
             if is_end && self.open.remove(&stage) {
-                // The last one is taken first.
+                // The loop takes the last one first.
                 open.extend(self.released(graph).into_iter().rev());
             }
         }
     }
 
-    /// The events of the stages that wait for nothing any more.
+    /// The events of stages that no longer wait for anything.
     fn released(&mut self, graph: &Graph) -> Vec<Event> {
         let is_free =
             |stage: &StageIndex| !plan::feeding(graph, *stage).any(|feeder| self.open.contains(&feeder));
@@ -71,7 +71,7 @@ impl InOrder {
         free.iter().flat_map(|stage| self.held.remove(stage).unwrap_or_default()).collect()
     }
 
-    /// What is held still, for the end of a run that broke off.
+    /// The events that are still delayed, for the end of a run that was cut off.
     pub fn rest(&mut self) -> Vec<Event> {
         std::mem::take(&mut self.held).into_values().flatten().collect()
     }

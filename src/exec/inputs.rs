@@ -1,22 +1,22 @@
-//! The inputs of a stage in its private folder, and whether the program that read them left them alone.
+//! Lays the inputs of a stage out in its private folder, and checks afterwards that the program did not change them.
 //!
-//! A stage of our own kinds reads contents where they lie in the store. A program is given copies of its own: it may take
-//! any right for itself, and what it writes must reach nobody else. That it wrote is an error all the same, wherever the
-//! copy was, so that a pipeline means the same on every file system.
+//! A built-in stage reads blobs in place. A foreign program gets private copies: it may change permissions, and what it writes
+//! must not reach any other stage. Writing to a copy is an error all the same, so that a pipeline behaves the same on every
+//! file system.
 
 use std::path::{Path, PathBuf};
 
-use super::work::Failure;
+use super::failure::Failure;
 use crate::store::{Digest, PrivateCopy, Store, StoreError};
 
-/// So many copies of a stage are held open, so that a file which takes the place of one is not taken for it. A process may
-/// have about a thousand files open.
+/// Copies per stage that are held open, so that a file that replaces a copy is not mistaken for it. The number is limited
+/// because a process can have only about a thousand open files.
 const HELD: usize = 32;
 
-/// More names than this are not listed.
+/// Changed files that an error names; of more, it gives the number.
 const NAMED: usize = 5;
 
-/// An input that is put into the stage's folder.
+/// An input that is laid out in the stage's folder.
 #[derive(Clone, Debug)]
 pub(super) struct Placed {
     /// The input's name.
@@ -25,17 +25,17 @@ pub(super) struct Placed {
     pub to: PathBuf,
     pub is_folder: bool,
     pub executable: bool,
-    /// True for a copy of its own, which a program needs.
+    /// True for a private copy, which a foreign program needs.
     pub private: bool,
 }
 
-/// What was laid out.
+/// The inputs that were laid out.
 #[derive(Debug, Default)]
 pub(super) struct LaidOut {
     copies: Vec<(&'static str, PathBuf, Vec<PrivateCopy>)>,
 }
 
-/// Puts every input into its place.
+/// Lays out every input.
 pub(super) fn lay_out(placed: &[Placed], store: &Store) -> Result<LaidOut, Failure> {
     let mut laid = LaidOut::default();
     let mut held = 0;
@@ -47,7 +47,7 @@ pub(super) fn lay_out(placed: &[Placed], store: &Store) -> Result<LaidOut, Failu
         }
         let mut copies = place(input, store).map_err(|error| match error {
             StoreError::Missing(_) | StoreError::Damaged(_) => {
-                Failure::of_store(format!("input `{}` cannot be read: {error}", input.port))
+                Failure::Input { port: input.port, source: error }
             }
             error => error.into(),
         })?;
@@ -72,7 +72,7 @@ fn place(input: &Placed, store: &Store) -> Result<Vec<PrivateCopy>, StoreError> 
 }
 
 impl LaidOut {
-    /// Finds out that the program wrote into an input: what it made then is no result of what the pipeline says.
+    /// Fails if the program changed an input: its outputs would then not follow from what the pipeline says.
     pub fn check(&self) -> Result<(), Failure> {
         let mut changed = Vec::new();
         for (port, root, copies) in &self.copies {
@@ -88,15 +88,11 @@ impl LaidOut {
         let more = changed.len().saturating_sub(NAMED);
         let more = if more > 0 { format!(" and {more} more") } else { String::new() };
         changed.truncate(NAMED);
-        Err(Failure::by_itself(format!(
-            "the command changed its input {}{more}: inputs are read-only; only this stage's own copy was changed, and no \
-             other stage sees it. Let the command work on a copy of its own",
-            changed.join(", ")
-        )))
+        Err(Failure::ChangedInputs(format!("{}{more}", changed.join(", "))))
     }
 }
 
-/// The name of a file in an input, as the program knows it.
+/// The name of a file in an input, as in `demos/episode-1.npz`.
 fn name(port: &str, root: &Path, path: &Path) -> String {
     match path.strip_prefix(root) {
         Ok(inside) if !inside.as_os_str().is_empty() => {

@@ -1,50 +1,50 @@
-//! What a stage needs in order to run, from the graph: its job, the inputs that have to be laid out, and what its record
-//! will say of its making.
+//! From the graph to what a stage needs in order to run: its job file, the inputs to lay out in its folder, and the draft of
+//! its record.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
 use dril_stage_api::{Artifact, Job, JobInput, JobOutput, Seed};
 
-use super::dispatch::Shape;
+use super::context::RunContext;
 use super::inputs::Placed;
-use super::work::Site;
+use super::publish::output_path;
 use crate::plan::{self, OutsideFile};
 use crate::resolve::{self, Source, StageInstance, file_name};
 use crate::store::{Fingerprint, Key, Outputs, RECORD_VERSION, Record};
 
-/// The files from outside that a stage reads.
+/// Files from outside that a stage reads.
 pub(super) fn outside<'a>(
     node: &'a StageInstance,
-    shape: Shape<'a>,
+    context: RunContext<'a>,
 ) -> impl Iterator<Item = &'a OutsideFile> {
     node.inputs.iter().flat_map(|wire| &wire.sources).filter_map(move |source| match &source.from {
-        resolve::From::File { key, .. } => shape.files.get(key),
+        resolve::From::File { key, .. } => context.files.get(key),
         resolve::From::Stage { .. } => None,
     })
 }
 
+/// The job file of a stage whose inputs are all built, and the inputs to lay out in its folder.
 pub(super) fn job(
     node: &StageInstance,
     key: &Key,
     folder: &Path,
     done: &[Option<Arc<Outputs>>],
-    shape: Shape<'_>,
-    site: Site<'_>,
+    context: RunContext<'_>,
 ) -> (Job, Vec<Placed>) {
     let private = node.kind.is_program();
     let mut placed = Vec::new();
     let mut input = |port: &'static str, number: usize, source: &Source| {
-        let digest = plan::digest_of(source, done, shape.files)?;
-        let is_folder = is_folder(source, shape);
+        let digest = plan::digest_of(source, done, context.files)?;
+        let is_folder = is_folder(source, context);
         let path = if private || is_folder {
             let to = folder.join("inputs").join(format!("{port}-{number}"));
-            let executable = plan::is_executable(node, source, done, shape.files);
+            let executable = plan::is_executable(node, source, done, context.files);
             placed.push(Placed { port, digest, to: to.clone(), is_folder, executable, private });
             to
         } else {
-            site.store.blob_path(&digest)
+            context.store.blob_path(&digest)
         };
         Some(JobInput { path, labels: source.labels.clone() })
     };
@@ -62,14 +62,14 @@ pub(super) fn job(
         kind: node.kind.name().to_owned(),
         revision: node.kind.revision(),
         params: node.params.clone(),
-        // A kind without randomness draws from no stream; the number only fills the field.
+        // A kind without randomness never draws: the number only fills the field.
         seed: node.seed.unwrap_or(Seed(0)),
         inputs,
         outputs: outputs.collect(),
         scratch: folder.join("work"),
-        checkpoints: site.store.checkpoints(key).join("files"),
-        checkpoint_seconds: site.options.checkpoint_seconds,
-        curves: site
+        checkpoints: context.store.checkpoints(key).join("files"),
+        checkpoint_seconds: context.options.checkpoint_seconds,
+        curves: context
             .options
             .curves
             .as_ref()
@@ -78,17 +78,18 @@ pub(super) fn job(
     (job, placed)
 }
 
-fn is_folder(source: &Source, shape: Shape<'_>) -> bool {
+fn is_folder(source: &Source, context: RunContext<'_>) -> bool {
     match &source.from {
         resolve::From::File { folder, .. } => *folder,
         resolve::From::Stage { stage, output } => {
-            let output = shape.graph.stages[*stage].ports.find_output(output);
+            let output = context.graph.stages[*stage].ports.find_output(output);
             output.is_some_and(|output| output.artifact == Artifact::Folder)
         }
     }
 }
 
-pub(super) fn record(node: &StageInstance, done: &[Option<Arc<Outputs>>], shape: Shape<'_>) -> Record {
+/// The record of a stage that is about to run; outputs and duration are filled in afterwards.
+pub(super) fn record(node: &StageInstance, done: &[Option<Arc<Outputs>>], context: RunContext<'_>) -> Record {
     Record {
         version: RECORD_VERSION,
         stage: node.id.as_ref().to_owned(),
@@ -96,15 +97,9 @@ pub(super) fn record(node: &StageInstance, done: &[Option<Arc<Outputs>>], shape:
         revision: node.kind.revision(),
         params: node.params.clone(),
         seed: node.seed.map(|seed| seed.0),
-        inputs: plan::record_inputs(shape.graph, node, done, shape.files),
+        inputs: plan::record_inputs(context.graph, node, done, context.files),
         outputs: Outputs::new(),
         seconds: 0.0,
         fingerprint: Fingerprint::current(),
     }
-}
-
-/// Where a stage writes an output.
-pub(super) fn output_path(folder: &Path, name: &str, extension: &str) -> PathBuf {
-    let ending = if extension.is_empty() { "" } else { "." };
-    folder.join(format!("output-{name}{ending}{extension}"))
 }

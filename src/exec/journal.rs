@@ -1,5 +1,5 @@
-//! What is told of a run: to whoever listens, and as lines of JSON to `events.jsonl` in the run's folder, for whoever
-//! looks at the run later. Version 1; `at` is in seconds since the run began. Progress is left out.
+//! Passes the events of a run to the reporter and writes them to `events.jsonl` in the run's folder, one JSON object per line,
+//! for `status`, `runs` and `explain`. Format version 1; `at` is in seconds since the run began. Progress is not written.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -7,15 +7,16 @@ use std::time::{Duration, Instant};
 use serde::Serialize;
 use serde_json::{Value, json};
 
+use super::event::{Event, Outcome};
 use super::in_order::InOrder;
-use super::{Event, Options, Outcome};
+use super::options::Options;
 use crate::resolve::{Graph, StageIndex};
 use crate::store::{Fingerprint, Key, Run, Store, StoreError};
 
-/// Lines are written at most this often, and at the end.
-const PAUSE: Duration = Duration::from_millis(100);
+/// Shortest time between two writes of gathered lines.
+const WRITE_INTERVAL: Duration = Duration::from_millis(100);
 
-/// Tells events, and keeps the run's folder.
+/// Emits events, and owns the run's folder.
 pub(super) struct Journal<'a, 's> {
     graph: &'a Graph,
     sink: &'s mut dyn FnMut(&Event),
@@ -31,31 +32,31 @@ impl<'a, 's> Journal<'a, 's> {
         Self { graph, sink, run: None, began, written: began, lines: Vec::new(), order: InOrder::default() }
     }
 
-    /// Tells an event when it is its turn. Before the run has a folder it is not written.
-    pub fn tell(&mut self, event: &Event) {
-        // There are thousands of these at a time, and none of them waits.
+    /// Emits an event when it is its turn. It is written once the run has a folder.
+    pub fn emit(&mut self, event: &Event) {
+        // There can be thousands of these at a time, and none of them has to wait.
         if let Event::Cached { .. } = event {
-            return self.tell_now(event);
+            return self.emit_now(event);
         }
         for event in self.order.next(self.graph, event) {
-            self.tell_now(&event);
+            self.emit_now(&event);
         }
     }
 
-    fn tell_now(&mut self, event: &Event) {
+    fn emit_now(&mut self, event: &Event) {
         if self.run.is_some() {
-            self.note(event);
+            self.write_line(event);
         }
         (self.sink)(event);
     }
 
-    /// The run's folder, where it has one.
+    /// The run's folder, if it has one.
     pub fn run(&self) -> Option<&Arc<Run>> {
         self.run.as_ref()
     }
 
-    /// The run's folder. It is made when the first stage starts: a run with nothing to do leaves no trace. `done` are the
-    /// stages that were told to be cached until then.
+    /// Creates the run's folder, when the first stage starts: a run with nothing to do leaves no trace. `done` are the cache
+    /// hits that were emitted until then.
     pub fn open(
         &mut self,
         store: &Store,
@@ -73,27 +74,27 @@ impl<'a, 's> Journal<'a, 's> {
         }
         let run = Arc::new(store.begin_run(&manifest)?);
         self.run = Some(Arc::clone(&run));
-        self.note(&Event::Started { stages, threads });
+        self.write_line(&Event::Started { stages, threads });
         for (stage, key) in done {
-            self.note(&Event::Cached { stage: *stage, key: **key });
+            self.write_line(&Event::Cached { stage: *stage, key: **key });
         }
         Ok(run)
     }
 
-    /// Tells the end and writes what is left to write.
+    /// Emits the end and writes the remaining lines.
     pub fn finish(mut self, outcome: &Outcome) -> Result<Option<Arc<Run>>, StoreError> {
         for event in self.order.rest() {
-            self.tell_now(&event);
+            self.emit_now(&event);
         }
-        self.tell(&Event::Finished { outcome: outcome.clone() });
+        self.emit(&Event::Finished { outcome: outcome.clone() });
         self.write(true)?;
         Ok(self.run)
     }
 
-    /// Writes what has gathered, if it is time or `now`.
+    /// Writes the gathered lines, if `now` or if the last write is long enough ago.
     pub fn write(&mut self, now: bool) -> Result<(), StoreError> {
         if let Some(run) = self.run.as_ref().filter(|_| !self.lines.is_empty())
-            && (now || self.written.elapsed() >= PAUSE)
+            && (now || self.written.elapsed() >= WRITE_INTERVAL)
         {
             run.append_events(&self.lines)?;
             self.lines.clear();
@@ -102,9 +103,9 @@ impl<'a, 's> Journal<'a, 's> {
         Ok(())
     }
 
-    fn note(&mut self, event: &Event) {
+    fn write_line(&mut self, event: &Event) {
         let at = self.began.elapsed().as_millis() as f64 / 1000.0;
-        // There are thousands of these at a time.
+        // There can be thousands of these at a time.
         if let Event::Cached { stage, key } = event {
             let stage: &str = &self.graph.stages[*stage].id;
             let start = self.lines.len();
@@ -120,7 +121,7 @@ impl<'a, 's> Journal<'a, 's> {
     }
 }
 
-/// The line of a stage that was cached.
+/// The line of a cache hit.
 #[derive(Serialize)]
 struct CachedLine<'a> {
     at: f64,
@@ -143,11 +144,12 @@ fn line(graph: &Graph, event: &Event) -> Option<Value> {
         Event::StageFinished { stage, took } => {
             json!({ "event": "finished", "stage": id(stage), "seconds": took.as_secs_f64() })
         }
-        Event::StageFailed { stage, error, cause, .. } => {
-            json!({ "event": "failed", "stage": id(stage), "error": error, "cause": cause.name() })
-        }
-        Event::Retrying { stage, retry, error, pause, .. } => json!({
-            "event": "retrying", "stage": id(stage), "retry": retry, "error": error,
+        Event::StageFailed { stage, failure, .. } => json!({
+            "event": "failed", "stage": id(stage), "error": failure.to_string(),
+            "cause": failure.kind().name(),
+        }),
+        Event::Retrying { stage, retry, failure, pause, .. } => json!({
+            "event": "retrying", "stage": id(stage), "retry": retry, "error": failure.to_string(),
             "seconds": pause.as_secs_f64(),
         }),
         Event::Skipped { stage, because } => {

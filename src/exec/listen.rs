@@ -1,4 +1,4 @@
-//! What a stage's process prints: lines that are messages are heard, all else goes to its log.
+//! Splits what a stage prints: lines that are messages go to the engine, everything else goes to its log.
 
 use std::io::{self, Read, Write};
 
@@ -6,15 +6,15 @@ use dril_stage_api::Message;
 
 use crate::fsx::File;
 
-/// A line longer than this is no message; it is passed on in parts, so that no stage can fill the engine's memory.
+/// A longer line is not a message; it is passed on in parts, so that no stage can fill the engine's memory.
 const LONGEST_LINE: usize = 64 * 1024;
 
-/// Takes a stage's output apart.
+/// Splits the output of a stage.
 pub(super) struct Listener<L = File> {
     log: L,
     line: Vec<u8>,
     failure: Option<String>,
-    /// Why the log is not whole.
+    /// Why the log is incomplete.
     lost: Option<io::Error>,
 }
 
@@ -23,11 +23,11 @@ impl<L: Write> Listener<L> {
         Self { log, line: Vec::new(), failure: None, lost: None }
     }
 
-    /// Takes what can be read in one go; false at the end.
+    /// Processes what one `read` returns; false at the end.
     pub fn read(
         &mut self,
         output: Option<&mut impl Read>,
-        hear: &mut dyn FnMut(Message),
+        on_message: &mut dyn FnMut(Message),
     ) -> io::Result<bool> {
         let mut buffer = [0; 8192];
         let count = match output.map(|output| output.read(&mut buffer)) {
@@ -35,27 +35,26 @@ impl<L: Write> Listener<L> {
             Some(result) => result?,
             None => 0,
         };
-        self.take(&buffer[..count], hear)?;
+        self.take(&buffer[..count], on_message)?;
         Ok(count > 0)
     }
 
-    /// Takes the rest, which has no end of line.
-    pub fn finish(&mut self, hear: &mut dyn FnMut(Message)) -> io::Result<()> {
-        if self.line.is_empty() { Ok(()) } else { self.end_line(hear) }
+    /// Processes the rest, which has no line end.
+    pub fn finish(&mut self, on_message: &mut dyn FnMut(Message)) -> io::Result<()> {
+        if self.line.is_empty() { Ok(()) } else { self.end_line(on_message) }
     }
 
-    /// Why a part of what the stage printed is not in its log: the disk is full, most likely. The stage goes on: what it
-    /// prints is not its result.
+    /// Why the log is incomplete, most likely because the disk is full. The stage goes on: its log is not a result.
     pub fn lost(&self) -> Option<&io::Error> {
         self.lost.as_ref()
     }
 
-    /// Why the stage says that it failed.
+    /// The error that the stage reported.
     pub fn failure(&self) -> Option<String> {
         self.failure.clone()
     }
 
-    fn take(&mut self, bytes: &[u8], hear: &mut dyn FnMut(Message)) -> io::Result<()> {
+    fn take(&mut self, bytes: &[u8], on_message: &mut dyn FnMut(Message)) -> io::Result<()> {
         for piece in bytes.split_inclusive(|byte| *byte == b'\n') {
             let (text, ended) = match piece.split_last() {
                 Some((b'\n', text)) => (text, true),
@@ -63,17 +62,17 @@ impl<L: Write> Listener<L> {
             };
             self.line.extend_from_slice(text);
             if ended || self.line.len() > LONGEST_LINE {
-                self.end_line(hear)?;
+                self.end_line(on_message)?;
             }
         }
         Ok(())
     }
 
-    fn end_line(&mut self, hear: &mut dyn FnMut(Message)) -> io::Result<()> {
+    fn end_line(&mut self, on_message: &mut dyn FnMut(Message)) -> io::Result<()> {
         let message = std::str::from_utf8(&self.line).ok().and_then(Message::from_line);
         match message {
             Some(Message::Failed { error }) => self.failure = Some(error),
-            Some(message) => hear(message),
+            Some(message) => on_message(message),
             None => {
                 self.line.push(b'\n');
                 if let Err(error) = self.log.write_all(&self.line) {
@@ -101,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn messages_are_heard_and_the_rest_is_logged_however_the_bytes_arrive() {
+    fn messages_are_recognised_and_the_rest_is_logged_however_the_bytes_arrive() {
         let message = Message::Progress(dril_stage_api::Progress { step: 1, total: 2, ..Default::default() });
         let mut text = format!("[W] a warning\n{}\n{{not json\n", message.to_line()).into_bytes();
         text.push(0xff);
@@ -114,13 +113,13 @@ mod tests {
     }
 
     #[test]
-    fn the_last_word_of_a_stage_is_why_it_failed() {
+    fn the_error_that_a_stage_reports_is_its_failure() {
         let line = Message::Failed { error: "no demonstrations".into() }.to_line();
         assert_eq!(listen(&[line.as_bytes()]).2.as_deref(), Some("no demonstrations"));
     }
 
     #[test]
-    fn a_log_that_cannot_be_written_is_told_and_ends_no_stage() {
+    fn a_log_that_cannot_be_written_is_reported_and_ends_no_stage() {
         struct Full;
         impl Write for Full {
             fn write(&mut self, _: &[u8]) -> io::Result<usize> {
@@ -140,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_without_end_does_not_grow_without_end() {
+    fn an_endless_line_does_not_fill_memory() {
         let mut listener = Listener::new(Vec::new());
         for _ in 0..64 {
             listener.take(&[b'x'; 4096], &mut |_| {}).unwrap();

@@ -1,5 +1,5 @@
-//! How much memory a stage keeps, and whether the system has killed for want of memory. From `/proc`: where that
-//! is not there, nothing is known, and no limit is enforced.
+//! How much memory a stage uses, and whether the system has killed processes because it ran out of memory. Both come from
+//! `/proc`; on systems without it, memory limits are not enforced.
 
 use std::collections::HashSet;
 use std::path::Path;
@@ -11,8 +11,7 @@ use rustix::process::Pid;
 use super::processes;
 use crate::fsx;
 
-/// Bytes of memory that the processes of a group keep, and all that descend from its first one; `None` where that cannot
-/// be known.
+/// Resident memory in bytes of all processes of a group and all descendants of its leader; `None` where it is unknown.
 pub(super) fn resident(group: Pid) -> Option<u64> {
     let all = processes::all();
     let group = group.as_raw_nonzero().get();
@@ -28,7 +27,7 @@ pub(super) fn resident(group: Pid) -> Option<u64> {
             break;
         }
     }
-    // One that has ended since it was listed keeps nothing.
+    // A process that has ended since it was listed uses nothing.
     all.iter().any(|one| one.pid == group || one.group == group).then(|| {
         counted.iter().map(|pid| kept_by(&Path::new("/proc").join(pid.to_string())).unwrap_or_default()).sum()
     })
@@ -42,15 +41,14 @@ fn kept_by(process: &Path) -> Option<u64> {
     line.split_whitespace().next()?.parse::<u64>().ok().map(|kibibytes| kibibytes * 1024)
 }
 
-/// How often the system has killed a process because memory ran out, since it was started.
+/// How many processes the system has killed since boot because it ran out of memory.
 pub(super) fn kills() -> Option<u64> {
     let counters = fsx::read(Path::new("/proc/vmstat")).ok()?;
     let counters = String::from_utf8_lossy(&counters);
     counters.lines().find_map(|line| line.strip_prefix("oom_kill "))?.trim().parse().ok()
 }
 
-/// As [`kills`], and at most a second old: to have the system count all that it counts takes as long as making a folder,
-/// and stages may be short.
+/// As [`kills`], cached for a second: reading all counters takes as long as creating a folder, and stages may be short.
 pub(super) fn kills_lately() -> Option<u64> {
     static LAST: Mutex<Option<(Instant, Option<u64>)>> = Mutex::new(None);
     let mut last = LAST.lock().ok()?;
@@ -70,7 +68,7 @@ mod tests {
 
     #[test]
     #[cfg(target_os = "linux")]
-    fn a_stage_keeps_the_memory_of_its_processes() {
+    fn the_memory_of_a_stage_is_that_of_its_processes() {
         let bytes = resident(rustix::process::getpgrp()).unwrap();
         assert!((100_000..1 << 40).contains(&bytes), "{bytes}");
         assert!(resident(Pid::from_raw(i32::MAX).unwrap()).is_none());

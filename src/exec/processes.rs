@@ -1,5 +1,5 @@
-//! What `/proc` says of processes: whose children they are, when they began, and whether they have to do with a folder.
-//! Where there is no `/proc`, nothing is known, and nothing is found.
+//! Processes as `/proc` shows them: parent, group, start time, and whether a process uses a folder. On systems without `/proc`
+//! nothing is found.
 
 use std::path::{Path, PathBuf};
 
@@ -7,15 +7,15 @@ use rustix::process::Pid;
 
 use crate::fsx;
 
-/// A process, as `/proc/<number>/stat` tells of it.
+/// A process, from `/proc/<pid>/stat`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Process {
     pub pid: i32,
     pub parent: i32,
     pub group: i32,
-    /// When it began, in the system's ticks since it was started.
+    /// Start time in clock ticks since boot.
     pub began: u64,
-    /// It has ended, and nobody has asked how.
+    /// It has ended and is not reaped.
     pub is_zombie: bool,
 }
 
@@ -27,7 +27,7 @@ impl Process {
 
     fn parse(pid: i32, stat: &[u8]) -> Option<Self> {
         let stat = String::from_utf8_lossy(stat);
-        // The name before it may have any character in it.
+        // The program name before it may contain any character.
         let mut fields = stat.rsplit_once(')')?.1.split_whitespace();
         let is_zombie = matches!(fields.next()?, "Z" | "X");
         let (parent, group) = (fields.next()?.parse().ok()?, fields.next()?.parse().ok()?);
@@ -36,11 +36,11 @@ impl Process {
         Some(Self { pid, parent, group, began, is_zombie })
     }
 
-    /// True where it runs in `folder`, has a file of it open, or was started with the folder's name in its environment,
-    /// as a program of a stage is.
+    /// True where it runs in `folder`, has a file in it open, or has the folder's path in its environment, as the program of a
+    /// stage does.
     pub fn belongs_to(&self, folder: &Path) -> bool {
         let place = self::folder(self.pid);
-        // The last two names are those of the run and of the key. What stands before them may be written in several ways.
+        // The last two components are the run and the key. The part before them may be written in several ways.
         let wanted = folder.as_os_str().as_encoded_bytes();
         let slashes = wanted.iter().enumerate().rev().filter(|(_, byte)| **byte == b'/');
         let wanted = &wanted[slashes.map(|(at, _)| at).nth(1).unwrap_or(0)..];
@@ -56,14 +56,14 @@ fn folder(pid: i32) -> PathBuf {
     Path::new("/proc").join(pid.to_string())
 }
 
-/// Every process that there is.
+/// All processes.
 pub(super) fn all() -> Vec<Process> {
     let names = fsx::list(Path::new("/proc")).unwrap_or_default().into_iter();
     names.filter_map(|name| Process::of(name.file_name()?.to_str()?.parse().ok()?)).collect()
 }
 
-/// The children of this process's first thread. Those that were started by another thread are not among them; those that
-/// this process was given because their own parent died are.
+/// The children of this process's main thread: processes that it adopted are among them, processes that other threads started
+/// are not.
 pub(super) fn given_children(own: Pid) -> Vec<i32> {
     let own = own.as_raw_nonzero().get();
     let list = folder(own).join("task").join(own.to_string()).join("children");
@@ -71,7 +71,7 @@ pub(super) fn given_children(own: Pid) -> Vec<i32> {
         Ok(list) => {
             String::from_utf8_lossy(&list).split_whitespace().filter_map(|pid| pid.parse().ok()).collect()
         }
-        // A kernel that was built without these lists.
+        // The kernel was built without these lists.
         Err(_) => {
             all().into_iter().filter(|process| process.parent == own).map(|process| process.pid).collect()
         }
@@ -84,7 +84,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_line_of_the_system_is_taken_apart_whatever_the_name_of_the_program() {
+    fn a_stat_line_is_parsed_whatever_the_name_of_the_program() {
         let stat = b"42 (a) b) S 7 40 3 0 -1 4194560 1 2 3 4 5 6 7 8 20 0 1 0 98765 1000 10";
         let process = Process::parse(42, stat).unwrap();
         assert_eq!(process, Process { pid: 42, parent: 7, group: 40, began: 98765, is_zombie: false });

@@ -1,4 +1,4 @@
-//! Stages that could start now, the longest chain of work first; and those that wait for another process.
+//! Stages that could start now, those on the longest path first; and stages whose key another process is building.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -6,10 +6,10 @@ use std::time::{Duration, Instant};
 
 use crate::resolve::StageIndex;
 
-/// How soon, and at the latest how rarely, a lock that somebody else holds is tried again.
+/// Shortest and longest interval between two tries for a lock that another process holds.
 const PAUSES: (Duration, Duration) = (Duration::from_millis(2), Duration::from_millis(250));
 
-/// The queue.
+/// The queue of stages that can start.
 #[derive(Debug, Default)]
 pub(super) struct Ready(BinaryHeap<Entry>);
 
@@ -40,24 +40,24 @@ impl PartialEq for Entry {
 impl Eq for Entry {}
 
 impl Ready {
-    /// Adds a stage with the cost of the longest chain that begins with it.
+    /// Adds a stage with the cost of the longest path that begins with it.
     pub fn push(&mut self, stage: StageIndex, cost: f64) {
         self.0.push(Entry { cost, stage });
     }
 
-    /// The stage to start next: of the highest cost, of several the first in node order.
+    /// The stage to start next: the one with the highest cost, and of equal ones the first in node order.
     pub fn peek(&self) -> Option<StageIndex> {
         self.0.peek().map(|entry| entry.stage)
     }
 
-    /// Takes it.
+    /// Takes the stage to start next.
     pub fn pop(&mut self) -> Option<StageIndex> {
         self.0.pop().map(|entry| entry.stage)
     }
 }
 
 impl Ready {
-    /// Takes the first of the next `depth` stages that `fits`; the others stay.
+    /// Takes the first of the next `depth` stages for which `fits` is true; the others stay.
     pub fn take_first(&mut self, depth: usize, fits: impl Fn(StageIndex) -> bool) -> Option<StageIndex> {
         let mut passed = Vec::new();
         let mut found = None;
@@ -70,9 +70,9 @@ impl Ready {
     }
 }
 
-/// Stages whose key another process holds, each with the time of its next try.
+/// Stages whose key another process is building, each with the time of the next try.
 #[derive(Debug, Default)]
-pub(super) struct Elsewhere(Vec<Try>);
+pub(super) struct Retries(Vec<Try>);
 
 #[derive(Debug)]
 struct Try {
@@ -82,8 +82,8 @@ struct Try {
     due: bool,
 }
 
-impl Elsewhere {
-    /// Notes a try that failed; true where it was the stage's first.
+impl Retries {
+    /// Records a failed try; true where it was the stage's first.
     pub fn note(&mut self, stage: StageIndex, now: Instant) -> bool {
         match self.0.iter_mut().find(|entry| entry.stage == stage) {
             Some(entry) => {
@@ -99,12 +99,12 @@ impl Elsewhere {
         }
     }
 
-    /// Forgets a stage that waits no longer.
+    /// Removes a stage that no longer waits.
     pub fn remove(&mut self, stage: StageIndex) {
         self.0.retain(|entry| entry.stage != stage);
     }
 
-    /// The stages to try now; each is given once per [`Elsewhere::note`].
+    /// The stages to try now; each is returned once per [`Retries::note`].
     pub fn due(&mut self, now: Instant) -> Vec<StageIndex> {
         let due = self.0.iter_mut().filter(|entry| !entry.due && entry.next <= now);
         due.map(|entry| {
@@ -114,12 +114,12 @@ impl Elsewhere {
         .collect()
     }
 
-    /// The time of the next try, `None` where nobody waits.
+    /// The time of the next try; `None` where no stage waits.
     pub fn next(&self) -> Option<Instant> {
         self.0.iter().filter(|entry| !entry.due).map(|entry| entry.next).min()
     }
 
-    /// True where nobody waits.
+    /// True where no stage waits.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
@@ -130,7 +130,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_longest_chain_comes_first_and_equal_ones_in_node_order() {
+    fn the_longest_path_comes_first_and_equal_ones_in_node_order() {
         let mut ready = Ready::default();
         for (stage, cost) in [(3, 1.0), (1, 5.0), (2, 5.0), (0, 0.5)] {
             ready.push(StageIndex::new(stage), cost);
@@ -140,8 +140,8 @@ mod tests {
     }
 
     #[test]
-    fn a_stage_that_waits_is_tried_ever_more_rarely() {
-        let (mut elsewhere, stage, start) = (Elsewhere::default(), StageIndex::new(0), Instant::now());
+    fn a_waiting_stage_is_tried_at_growing_intervals() {
+        let (mut elsewhere, stage, start) = (Retries::default(), StageIndex::new(0), Instant::now());
         assert!(elsewhere.note(stage, start));
         assert!(elsewhere.due(start).is_empty());
         let mut now = start;

@@ -1,7 +1,7 @@
-//! Counted resources (graphics cards, licences): how many units of each there are, and which stage holds which.
+//! Counted resources (GPUs, licences): how many units of each exist, and which stage holds which.
 //!
-//! A unit has a name, so that two stages that run at the same time do not take the same card. What `--resources` does not
-//! count there is one of: stages that ask for it run one after the other.
+//! Every unit has a name, so that two stages that run at the same time do not use the same GPU. A resource that `--resources`
+//! does not list has one unit: stages that ask for it run one after the other.
 
 use std::collections::BTreeMap;
 
@@ -11,18 +11,18 @@ use crate::spec::Resources;
 /// The units of each resource, by its name.
 pub type Units = BTreeMap<String, Vec<String>>;
 
-/// A stage that asks for more than there is.
+/// A stage asks for more units of a resource than the run has.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("stage `{stage}` needs {wanted} of resource `{name}`, and the run has {there}")]
-pub struct TooFew {
+#[error("stage `{stage}` needs {wanted} of resource `{name}`, and the run has {available}")]
+pub struct InsufficientResource {
     /// The stage.
     pub stage: String,
     /// The resource.
     pub name: String,
     /// How many it asks for.
     pub wanted: u32,
-    /// How many there are.
-    pub there: usize,
+    /// How many the run has.
+    pub available: usize,
 }
 
 /// Units that are free, and those that stages hold.
@@ -33,15 +33,15 @@ pub(super) struct Pool {
 }
 
 impl Pool {
-    /// All units of these are free.
+    /// A pool in which all these units are free.
     pub fn new(units: &Units) -> Self {
         let mut free = units.clone();
-        // The first one is given out first.
+        // So that the first one is given out first.
         free.values_mut().for_each(|units| units.reverse());
         Self { free, held: BTreeMap::new() }
     }
 
-    /// How many units there are of a resource: one, where nothing else was said.
+    /// How many units of a resource exist: one, unless listed.
     pub fn count(units: &Units, name: &str) -> usize {
         units.get(name).map_or(1, Vec::len)
     }
@@ -50,12 +50,12 @@ impl Pool {
         self.free.get(name).map_or(1, Vec::len)
     }
 
-    /// True where so much is free.
+    /// True where enough units are free.
     pub fn has(&self, wanted: &Resources) -> bool {
         wanted.iter().all(|(name, count)| self.free(name) >= *count as usize)
     }
 
-    /// Gives a stage what it asks for, which is free.
+    /// Gives a stage the units that it asks for, which must be free.
     pub fn take(&mut self, stage: StageIndex, wanted: &Resources) -> Units {
         let mut taken = Units::new();
         for (name, count) in wanted.iter() {
@@ -71,7 +71,7 @@ impl Pool {
         taken
     }
 
-    /// Takes back what a stage holds.
+    /// Takes back the units of a stage.
     pub fn give_back(&mut self, stage: StageIndex) {
         for (name, units) in self.held.remove(&stage).unwrap_or_default() {
             let free = self.free.entry(name).or_default();
@@ -81,7 +81,7 @@ impl Pool {
     }
 }
 
-/// The variables that tell a stage which units it holds: `CUDA_VISIBLE_DEVICES` for `gpu`, and for each resource
+/// The environment variables that tell a stage which units it holds: `CUDA_VISIBLE_DEVICES` for `gpu`, and for each resource
 /// `DRIL_RESOURCE_<NAME>`.
 pub(super) fn variables(units: &Units) -> Vec<(String, String)> {
     let mut all = Vec::new();
@@ -102,7 +102,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_two_stages_hold_the_same_unit_and_what_is_not_counted_there_is_one_of() {
+    fn no_two_stages_hold_the_same_unit_and_a_resource_that_is_not_listed_has_one() {
         let units = Units::from([("gpu".to_owned(), vec!["0".to_owned(), "1".to_owned(), "10".to_owned()])]);
         let wants = |name: &str, count| Arc::new(BTreeMap::from([(name.to_owned(), count)]));
         let (a, b, c) = (StageIndex::new(0), StageIndex::new(1), StageIndex::new(2));
@@ -120,13 +120,16 @@ mod tests {
     }
 
     #[test]
-    fn a_stage_is_told_its_units_by_variables() {
+    fn environment_variables_tell_a_stage_its_units() {
         let units = Units::from([
             ("gpu".to_owned(), vec!["1".to_owned(), "3".to_owned()]),
             ("my-licence".to_owned(), vec!["0".to_owned()]),
         ]);
-        let told: Vec<String> =
+        let pairs: Vec<String> =
             variables(&units).into_iter().map(|(name, value)| format!("{name}={value}")).collect();
-        assert_eq!(told, ["CUDA_VISIBLE_DEVICES=1,3", "DRIL_RESOURCE_GPU=1,3", "DRIL_RESOURCE_MY_LICENCE=0"]);
+        assert_eq!(
+            pairs,
+            ["CUDA_VISIBLE_DEVICES=1,3", "DRIL_RESOURCE_GPU=1,3", "DRIL_RESOURCE_MY_LICENCE=0"]
+        );
     }
 }

@@ -1,71 +1,70 @@
-//! What runs one job: the seam between the dispatcher, which knows the graph, and processes here or elsewhere.
+//! The seam for executors: a [`Runner`] takes one job and runs it to its end, in a child process or on another machine.
+//!
+//! The dispatcher knows the graph and decides what starts when; a worker thread prepares the job, calls the runner, and
+//! publishes the outputs to the store once the runner reports success. A runner knows nothing of graphs, keys or records.
 
-use std::io;
+use std::error::Error;
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use dril_stage_api::{Job, Kind, Message};
 
+use super::failure::Failure;
 use super::resources::Units;
 use crate::fsx::Lock;
 use crate::spec::Limits;
 
-/// What a runner is to start.
+/// A job to start, and what it may use.
 #[derive(Clone, Copy, Debug)]
 pub struct Launch<'a> {
-    /// What is to be done.
+    /// What to do, with the paths of all inputs and outputs.
     pub job: &'a Job,
-    /// The kind that does it.
+    /// The stage's kind.
     pub kind: Kind,
-    /// The right to do the work, which a process may hold on to longer than this one lives; none for work that nobody else
-    /// could do at the same time.
+    /// The exclusive right to build the stage's key. A process that inherits it keeps the right until it ends. `None` for
+    /// work that no other process could do at the same time.
     pub lock: Option<&'a Lock>,
-    /// The file for all that the stage prints.
+    /// The log file for everything that the stage prints.
     pub log: &'a Path,
-    /// The folder that it may work in; removed afterwards.
+    /// The stage's private folder; removed afterwards.
     pub folder: &'a Path,
     /// Threads that it may keep busy.
     pub threads: usize,
-    /// What it holds of counted resources.
+    /// The units of counted resources that it holds.
     pub units: &'a Units,
-    /// Raised when the stage shall stop: first asked to, then, after `grace`, killed.
+    /// Set when the stage must stop: it is asked to first and killed after `grace`.
     pub stop: &'a AtomicBool,
     /// See [`super::Options::grace`].
     pub grace: Duration,
-    /// How long it may take, and how much memory it may keep with all that it starts.
+    /// How long it may run, and how much memory it may use with all processes that it starts.
     pub limits: Limits,
 }
 
-/// How a stage's process ended.
-#[derive(Clone, Debug, PartialEq, Eq)]
+/// How a job ended, where it did not fail.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Exit {
-    /// It says that it is done.
+    /// It ended with success. Its outputs are checked by the caller.
     Done,
     /// It was asked to stop, and did.
     Stopped,
-    /// It failed, for this reason.
-    Failed(String),
-    /// It was killed because it took more memory than it may, or than there is: the text says which.
-    OutOfMemory(String),
-    /// It took longer than it may.
-    TimedOut,
 }
 
 /// Runs one job, here or elsewhere.
 pub trait Runner: Sync {
-    /// Says whether it can run the kinds of that worker ([`dril_stage_api::Kind::worker`]); asked before anything runs.
+    /// Checks, before anything runs, that it can run the kinds of a worker ([`dril_stage_api::Kind::worker`]).
     ///
     /// # Errors
-    /// What is missing, and how to mend it.
-    fn check(&self, worker: Option<&'static str>) -> Result<(), String> {
+    /// What is missing, and how to fix it.
+    fn check(&self, worker: Option<&'static str>) -> Result<(), Box<dyn Error + Send + Sync>> {
         let _ = worker;
         Ok(())
     }
 
-    /// Runs the job to its end; `hear` is told what it says. When it returns, nothing of the job writes any more.
+    /// Runs the job to its end and passes every message of the stage to `on_message`. It polls `launch.stop` at least every
+    /// [`super::POLL_INTERVAL`]. After it returns, no process of the job writes any more.
     ///
     /// # Errors
-    /// It could not be started or watched.
-    fn run(&self, launch: &Launch<'_>, hear: &mut dyn FnMut(Message)) -> io::Result<Exit>;
+    /// The stage failed or passed a limit, or the job could not be started or observed.
+    fn run(&self, launch: &Launch<'_>, on_message: &mut dyn FnMut(Message)) -> Result<Exit, Failure>;
 }

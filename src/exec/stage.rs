@@ -1,4 +1,4 @@
-//! The child's side of a stage: reads the job, runs the kind, says how it went. Dies with the engine that started it.
+//! The child process of a stage: reads the job file, runs the kind, reports the result. Dies with the engine that started it.
 
 use std::any::Any;
 use std::io::{Read, Write};
@@ -14,19 +14,20 @@ use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 use crate::fsx::{self, Lock};
 
-/// The exit code of a stage that was asked to stop and did (`EX_TEMPFAIL`: worth another try).
+/// The exit code of a stage that stopped on request (`EX_TEMPFAIL`: try again later).
 pub const EXIT_STOPPED: u8 = 75;
 
-/// The child's side of [`super::ChildRunner`]: runs the job of a file. Stops at SIGTERM, SIGINT and SIGHUP, dies with the engine.
+/// The child process of [`super::ChildRunner`]: runs the job in a job file. Stops at SIGTERM, SIGINT and SIGHUP; dies with the
+/// engine.
 pub fn run_stage(job_file: &Path, registry: &Registry) -> ExitCode {
     die_with_the_engine();
     let cancel = Arc::new(AtomicBool::new(false));
     for signal in [SIGTERM, SIGINT, SIGHUP] {
-        // Without the handler the signal kills the stage: it goes on from its last checkpoint instead of a fresh one.
+        // Without the handler the signal just kills the stage, which then resumes from an older checkpoint.
         let _ = signal_hook::flag::register(signal, Arc::clone(&cancel));
     }
     let mut messages = std::io::stdout();
-    // A panic is on its way to the log already; what it said goes to the engine as well.
+    // The panic message is in the log already; this sends it to the engine, too.
     let work = AssertUnwindSafe(|| perform(&read(job_file)?, registry, &cancel, &mut messages));
     let result = catch_unwind(work).unwrap_or_else(|payload| Err(panicked(payload.as_ref())));
     match result {
@@ -42,14 +43,14 @@ pub fn run_stage(job_file: &Path, registry: &Registry) -> ExitCode {
 
 fn panicked(payload: &dyn Any) -> StageError {
     let text = payload.downcast_ref::<String>().map(String::as_str);
-    let text = text.or_else(|| payload.downcast_ref::<&str>().copied()).unwrap_or("it does not say why");
-    StageError::failed(format!("it panicked: {text}; the log says where"))
+    let text = text.or_else(|| payload.downcast_ref::<&str>().copied()).unwrap_or("no message");
+    StageError::failed(format!("it panicked: {text}; see the log"))
 }
 
 fn read(job_file: &Path) -> Result<Job, StageError> {
     let bytes = fsx::read(job_file).map_err(StageError::failed)?;
     serde_json::from_slice(&bytes)
-        .map_err(|error| StageError::failed(format!("`{}` is no job: {error}", job_file.display())))
+        .map_err(|error| StageError::failed(format!("`{}` is not a job file: {error}", job_file.display())))
 }
 
 /// Runs a job in this thread.
@@ -63,29 +64,29 @@ pub(super) fn perform(
     messages: &mut dyn Write,
 ) -> Result<(), StageError> {
     let Some(kind) = registry.get(&job.kind) else {
-        return Err(StageError::failed(format!("this program has no kind `{}`", job.kind)));
+        return Err(StageError::failed(format!("this executable has no stage kind `{}`", job.kind)));
     };
     if kind.revision() != job.revision {
         return Err(StageError::failed(format!(
-            "kind `{}` has revision {} here, but the run was planned with {}: build all executables anew",
+            "kind `{}` has revision {} in this executable, but the run was planned with revision {}: rebuild all executables",
             job.kind,
             kind.revision(),
             job.revision
         )));
     }
-    let _alone = alone_in(&job.checkpoints).map_err(StageError::failed)?;
+    let _lock = lock_checkpoints(&job.checkpoints).map_err(StageError::failed)?;
     kind.run(&job.params, &mut Ctx::new(job, cancel, messages))
 }
 
-/// Makes the folder for checkpoints and locks it: a stage of an engine that was killed may still be about to die.
-fn alone_in(checkpoints: &Path) -> fsx::Result<Lock> {
+/// Creates the folder for checkpoints and locks it: the same stage of a killed engine may still be alive for a moment.
+fn lock_checkpoints(checkpoints: &Path) -> fsx::Result<Lock> {
     fsx::create_dir_all(checkpoints)?;
     Lock::acquire(&checkpoints.with_file_name("lock"))
 }
 
-/// Kills this process and all it started as soon as the engine is gone. The engine holds the other end of the standard
-/// input and never writes to it, so its end is the engine's. A death signal of the kernel would not do: it takes only
-/// this process, and leaves what it started.
+/// Kills this process and all processes that it started as soon as the engine is gone. The engine holds the other end of
+/// stdin and never writes to it, so end of file means that the engine has died. The kernel's parent-death signal would kill
+/// only this process and leave its children.
 fn die_with_the_engine() {
     let started_by_an_engine = getpgrp() == getpid() && fsx::is_pipe(&std::io::stdin());
     if started_by_an_engine {

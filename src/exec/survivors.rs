@@ -1,12 +1,11 @@
-//! Nothing that a stage started outlives it: neither what left its process group (`setsid`, a daemon) nor what was started
-//! with an empty environment.
+//! Kills every process that a stage started and left behind, including processes that left its process group (`setsid`,
+//! daemons) and processes with an empty environment.
 //!
-//! While stages run, this process is the one that takes over children whose parent died (PR_SET_CHILD_SUBREAPER,
-//! prctl(2)). So what is left of a stage, once its own process has ended, is among this process's children, and it stays
-//! there, with its number, until it was killed and waited for. Which stage it is of is told by its group, its folder, its
-//! open files and its environment. A program that hides all of these is known by when it began: it is of no stage that
-//! began later, and where only one stage is left that it can be of, it is of that one. Whoever has children of its own
-//! beside stages must not have these guessed at: see [`claim_all_children`].
+//! While stages run, this process is a child subreaper (PR_SET_CHILD_SUBREAPER, prctl(2)): it adopts processes whose parent
+//! died. So whatever a stage leaves behind becomes a child of this process and keeps its process ID until it is killed and
+//! reaped. Its process group, working folder, open files and environment tell which stage it belongs to. A process that hides
+//! all of these is attributed by its start time: it belongs to no stage that started later, and if only one stage is left, to
+//! that one. A program that has children of its own beside stages must not rely on that guess: see [`claim_all_children`].
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -18,11 +17,11 @@ use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, getpid, kill_process, 
 
 use super::processes::{Process, given_children};
 
-/// How long the end of what was killed is waited for: a process that hangs in the system does not die.
-const PATIENCE: Duration = Duration::from_secs(5);
+/// How long to wait for killed processes to end: one that hangs in the kernel does not die.
+const KILL_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// How often those that have ended are looked after while their stage goes on.
-const PAUSE: Duration = Duration::from_millis(200);
+/// How often ended orphans are reaped while their stage goes on.
+const REAP_INTERVAL: Duration = Duration::from_millis(200);
 
 static CLAIMED: AtomicBool = AtomicBool::new(false);
 static RUNNING: Mutex<Running> = Mutex::new(Running { stages: BTreeMap::new(), swept: None });
@@ -34,39 +33,38 @@ struct Running {
     swept: Option<Instant>,
 }
 
-/// Says that every child that this process is given is of a stage, also one of which nothing else can be told.
+/// Declares that every process that this one adopts belongs to a stage, even if nothing else shows which.
 pub fn claim_all_children() {
     CLAIMED.store(true, Ordering::Relaxed);
 }
 
-/// From now on what loses its parent is given to this process.
+/// From now on, this process adopts descendants whose parent died.
 pub(super) fn take_orphans() {
     static ONCE: Once = Once::new();
-    // Where the system has no such thing, the group is all that can be killed.
+    // On systems without subreapers only the process group can be killed.
     ONCE.call_once(|| {
         let _ = rustix::process::set_child_subreaper(Some(getpid()));
     });
 }
 
-/// A stage whose descendants are looked for; until this is dropped.
+/// Tracks the descendants of a stage until it is dropped.
 #[derive(Debug)]
 pub(super) struct Followed {
     pid: i32,
 }
 
 impl Followed {
-    /// Follows the stage whose own process is `pid`, and that works in `folder`, which is named without links in its path.
+    /// Tracks the stage with process ID `pid` and working folder `folder`, a path without symbolic links.
     pub fn new(pid: Pid, folder: &Path) -> Self {
         let pid = pid.as_raw_nonzero().get();
         lock().stages.insert(pid, folder.to_owned());
         Self { pid }
     }
 
-    /// Takes note of those that have ended while the stage goes on, so that they do not pile up. Cheap enough to be called
-    /// often.
-    pub fn tidy(&self) {
+    /// Reaps orphans that have ended while the stage goes on, so that zombies do not pile up. Cheap enough to call often.
+    pub fn reap(&self) {
         let mut running = lock();
-        if running.swept.is_some_and(|swept| swept.elapsed() < PAUSE) {
+        if running.swept.is_some_and(|swept| swept.elapsed() < REAP_INTERVAL) {
             return;
         }
         running.swept = Some(Instant::now());
@@ -77,14 +75,14 @@ impl Followed {
         }
     }
 
-    /// Kills all that is left of the stage, whose own process has ended but was not waited for, and waits until it is gone.
-    /// True where something was left.
+    /// Kills whatever the stage left behind and waits until it is gone. The stage's own process has ended and is not reaped
+    /// yet. True where something was left.
     pub fn end_all(&self) -> bool {
         let mut found = false;
         let began = Instant::now();
         loop {
             let left = self.left();
-            if left.is_empty() || began.elapsed() > PATIENCE {
+            if left.is_empty() || began.elapsed() > KILL_TIMEOUT {
                 return found;
             }
             for orphan in left {
@@ -92,14 +90,14 @@ impl Followed {
                 if let Some(pid) = Pid::from_raw(orphan.pid) {
                     let _ = kill_process(pid, Signal::KILL);
                 }
-                while !has_ended(orphan.pid) && began.elapsed() <= PATIENCE {
+                while !has_ended(orphan.pid) && began.elapsed() <= KILL_TIMEOUT {
                     std::thread::sleep(Duration::from_millis(1));
                 }
             }
         }
     }
 
-    /// The orphans that are of this stage.
+    /// The orphans that belong to this stage.
     fn left(&self) -> Vec<Process> {
         let running = lock();
         let orphans = orphans(&running);
@@ -133,22 +131,21 @@ fn lock() -> std::sync::MutexGuard<'static, Running> {
     RUNNING.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The children that this process was given: neither a stage's own process, nor one of this process's group, where those
-/// that it started for itself are.
+/// The processes that this one has adopted: neither the stages' own processes nor the warden.
 fn orphans(running: &Running) -> Vec<Process> {
     let given = given_children(getpid()).into_iter().filter(|pid| !running.stages.contains_key(pid));
     given.filter_map(Process::of).filter(|process| !is_warden(process)).collect()
 }
 
-/// The warden was started by us, too.
+/// The warden is a child of this process, too.
 fn is_warden(process: &Process) -> bool {
     super::warden::pid() == Some(process.pid)
 }
 
-/// True where a child has ended; it is waited for then, and its number is free.
+/// Reaps a child if it has ended; true where it is gone.
 fn has_ended(pid: i32) -> bool {
     let Some(pid) = Pid::from_raw(pid) else { return true };
-    // An error says that it is no child any more.
+    // An error means that it is no longer a child.
     !matches!(waitid(WaitId::Pid(pid), WaitIdOptions::EXITED | WaitIdOptions::NOHANG), Ok(None))
 }
 
@@ -160,7 +157,7 @@ mod tests {
 
     use super::*;
 
-    /// A stage of this shell text, whose own process has ended.
+    /// A stage that runs this shell script, after its own process has ended.
     fn ended(text: &str, place: &Path) -> (Child, Followed) {
         take_orphans();
         let mut shell = Command::new("sh");
@@ -177,10 +174,10 @@ mod tests {
     }
 
     #[test]
-    fn what_left_the_group_of_its_stage_is_killed_with_it() {
+    fn processes_that_left_the_group_of_their_stage_are_killed_with_it() {
         for text in [
             "setsid sh -c 'echo $$ > pid; exec sleep 300' & while [ ! -s pid ]; do sleep 0.01; done",
-            // Its environment is empty, its folder another one; its output is a file of the stage.
+            // Empty environment, another working folder; only its output file belongs to the stage.
             "setsid sh -c 'cd /; env -i sh -c \"exec sleep 300\" & echo $! > '$PWD'/pid' > out 2>&1; sleep 0.1",
         ] {
             let place = tempfile::tempdir().unwrap();
@@ -195,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn what_another_stage_started_is_left_alone() {
+    fn processes_of_another_stage_are_left_alone() {
         let (one, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         let text = "setsid sh -c 'echo $$ > pid; exec sleep 300' & while [ ! -s pid ]; do sleep 0.01; done";
         let (mut first, followed) = ended(text, one.path());

@@ -1,5 +1,5 @@
-//! Why a program could not be started. The system's own answers mislead: a script whose interpreter is missing "does not
-//! exist", and a command line that is too long is blamed on the program.
+//! Explains why a program could not be started. The system's own errors mislead: a script whose interpreter is missing "does
+//! not exist", and a command line that is too long is blamed on the program.
 
 use std::io::{self, Read};
 use std::path::PathBuf;
@@ -7,37 +7,37 @@ use std::process::Command;
 
 use crate::fsx;
 
-/// Says why `process` could not be started, and what to do.
+/// Why `process` could not be started, and what to do.
 pub(super) fn reason(process: &Command, error: &io::Error) -> String {
     let program = process.get_program().to_string_lossy();
     let why = match error.kind() {
         io::ErrorKind::ArgumentListTooLong => {
             let bytes: usize = process.get_args().map(|word| word.len() + 1).sum();
             return format!(
-                "cannot start `{program}`: its command line is too long for this system ({bytes} bytes): have the program \
-                 read the list of its inputs in `inputs.json` (the variable DRIL_INPUTS names it), or name the folder that \
-                 they lie in"
+                "cannot start `{program}`: its command line is too long for this system ({bytes} bytes): let the program \
+                 read the list of its inputs from `inputs.json` (see the variable DRIL_INPUTS), or pass the folder that \
+                 contains them"
             );
         }
         io::ErrorKind::NotFound => match interpreter(process) {
             Some(said) => said,
-            None => "is it installed, and on the PATH?".to_owned(),
+            None => "is it installed and on the PATH?".to_owned(),
         },
         io::ErrorKind::PermissionDenied => {
-            "it may not be executed: `chmod +x` it where it is made, or run it by its interpreter, as in `[python3, \
+            "it is not executable: use `chmod +x` where it is created, or call its interpreter, as in `[python3, \
              \"{inputs.script}\"]`"
                 .to_owned()
         }
         // "Exec format error"
         _ if error.raw_os_error() == Some(libc::ENOEXEC) => {
-            "it is no program of this system; a script has `#!` and its interpreter in its first line".to_owned()
+            "it is not an executable for this system; a script needs `#!` and its interpreter in the first line".to_owned()
         }
-        _ => "is it a program that this system can run?".to_owned(),
+        _ => "can this system run it?".to_owned(),
     };
     format!("cannot start `{program}`: {error}; {why}")
 }
 
-/// What is wrong with a script that is there, and still "not found".
+/// Why a script that exists is still "not found".
 fn interpreter(process: &Command) -> Option<String> {
     let path = PathBuf::from(process.get_program());
     let path = match process.get_current_dir() {
@@ -48,20 +48,17 @@ fn interpreter(process: &Command) -> Option<String> {
     let mut start = [0; 256];
     let count = fsx::open(&path).ok()?.read(&mut start).ok()?;
     let Some(line) = start[..count].strip_prefix(b"#!") else {
-        return Some(
-            "the file is there, but what it needs to be loaded is not: was it built for another system?"
-                .to_owned(),
-        );
+        return Some("the file exists, but its loader does not: was it built for another system?".to_owned());
     };
     let line = line.split(|byte| *byte == b'\n').next().unwrap_or_default();
     let line = String::from_utf8_lossy(line);
     let name = line.trim_start().split([' ', '\t']).next().unwrap_or_default();
     Some(match name.strip_suffix('\r').or(line.ends_with('\r').then_some(name)) {
         Some(name) => format!(
-            "its first line names the interpreter `{name}` with a carriage return behind it, a line end of Windows: save the \
-             script with Unix line ends (CRLF to LF, as `dos2unix` does)"
+            "its first line names the interpreter `{name}` with a carriage return (a Windows line end): save the script with \
+             Unix line ends (`dos2unix` does that)"
         ),
-        None => format!("its first line names the interpreter `{name}`, which is not there"),
+        None => format!("its first line names the interpreter `{name}`, which does not exist"),
     })
 }
 
@@ -70,12 +67,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_script_that_cannot_start_is_told_from_one_that_is_missing() {
+    fn a_script_without_interpreter_is_distinguished_from_a_missing_one() {
         let place = tempfile::tempdir().unwrap();
         for (text, expected) in [
             ("#!/bin/sh\r\necho\r\n", "`/bin/sh` with a carriage return"),
             ("#!/usr/bin/env python3\r\n", "`/usr/bin/env` with a carriage return"),
-            ("#! /no/such/shell -e\n", "`/no/such/shell`, which is not there"),
+            ("#! /no/such/shell -e\n", "`/no/such/shell`, which does not exist"),
         ] {
             let script = place.path().join("script");
             std::fs::write(&script, text).unwrap();
@@ -91,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn a_command_line_that_is_too_long_says_what_to_use_instead() {
+    fn an_error_about_a_long_command_line_names_the_alternative() {
         let mut process = Command::new("/bin/true");
         let error = process.arg("x".repeat(300_000)).status().unwrap_err();
         let said = reason(&process, &error);

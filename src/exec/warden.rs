@@ -1,11 +1,10 @@
-//! Sees to it that programs die with the engine that started them, with all that they started.
+//! The warden kills foreign programs, and all processes that they started, when their engine dies.
 //!
-//! A stage of our own watches its standard input, whose other end the engine holds; a foreign program does not, and a
-//! death signal of the kernel would take only the program and leave what it started. So an engine has one more process,
-//! `dril-pipe __warden`, which is told of the folder of every program before it is started, and of its group, and kills what
-//! is left once the engine is gone: the groups, and then whatever else has to do with one of the folders
-//! (`Process::belongs_to`). The lock that a program gets as its standard input (`Lock::as_input`) keeps everybody else from
-//! the work while any of these processes lives.
+//! A built-in stage watches its stdin, whose other end the engine holds. A foreign program does not, and the kernel's
+//! parent-death signal would kill only the program and leave its children. So an engine has one more process, `dril-pipe
+//! __warden`. It receives the folder of every program before the program starts, and then its process group. When the engine is
+//! gone it kills the groups, and then every other process that uses one of the folders (`Process::belongs_to`). A program's
+//! stdin is the lock on its key (`Lock::as_input`), so no other engine starts the same work while any of these processes lives.
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
@@ -22,23 +21,23 @@ use rustix::process::{Pid, PidfdFlags, Signal, getppid, kill_process_group, pidf
 
 use super::processes::{self, Process};
 
-/// The argument that makes this program a warden.
+/// The argument that makes this executable a warden.
 pub const WARDEN: &str = "__warden";
 
-/// How long a program that was being started when the engine died is looked for.
+/// How long to search for a program that was being started when the engine died.
 const SEARCH: Duration = Duration::from_secs(3);
-/// How long programs are hunted that go on starting others.
+/// How long to kill programs that keep starting others.
 const LONGEST: Duration = Duration::from_secs(60);
 
-/// The warden that was started last.
+/// Process ID of the last warden that was started.
 static PID: AtomicI32 = AtomicI32::new(0);
 
-/// The process number of this process's warden.
+/// The process ID of this process's warden.
 pub(super) fn pid() -> Option<i32> {
     Some(PID.load(Ordering::Relaxed)).filter(|pid| *pid > 0)
 }
 
-/// The engine's side.
+/// The engine's handle of its warden.
 #[derive(Debug)]
 pub(super) struct Warden {
     program: PathBuf,
@@ -48,12 +47,12 @@ pub(super) struct Warden {
 #[derive(Debug, Default)]
 struct State {
     process: Option<Child>,
-    /// The folders of the programs, with their groups once they have one.
+    /// The folders of the programs, with their process groups once known.
     guarded: BTreeMap<PathBuf, Option<i32>>,
 }
 
-/// A program that dies with the engine, until this is dropped. To be dropped while the number of the program's group cannot
-/// be another's yet: before its first process is reaped.
+/// While this exists, the program dies with the engine. Drop it before the program's first process is reaped, as long as the
+/// group's ID cannot be reused.
 #[derive(Debug)]
 pub(super) struct Guarded<'a> {
     warden: &'a Warden,
@@ -65,23 +64,23 @@ impl Warden {
         Self { program, state: Mutex::default() }
     }
 
-    /// From now on what has to do with this folder dies with this process. The folder is a program's own, which is about to
-    /// be started, named without links in its path.
+    /// From now on, processes that use this folder die with this process. It is the private folder of a program that is about to
+    /// start, as a path without symbolic links.
     pub fn guard(&self, folder: &Path) -> io::Result<Guarded<'_>> {
         let folder = folder.to_owned();
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         state.guarded.insert(folder.clone(), None);
         let line = line('?', None, &folder);
-        state.tell(&self.program, &line)?;
+        state.send(&self.program, &line)?;
         Ok(Guarded { warden: self, folder })
     }
 }
 
 impl State {
-    fn be_there(&mut self, program: &PathBuf) -> io::Result<()> {
+    fn ensure_running(&mut self, program: &PathBuf) -> io::Result<()> {
         if self.process.is_none() {
             let mut command = Command::new(program);
-            // A group of its own: an interrupt at the terminal is not for it.
+            // In a group of its own, so that Ctrl-C in the terminal does not reach it.
             command.arg(WARDEN).stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null());
             let process = command.process_group(0).spawn().map_err(|error| {
                 io::Error::new(error.kind(), format!("cannot start `{}`: {error}", program.display()))
@@ -92,18 +91,18 @@ impl State {
         Ok(())
     }
 
-    fn tell(&mut self, program: &PathBuf, line: &str) -> io::Result<()> {
-        self.be_there(program)?;
-        if self.write(line).is_ok() { Ok(()) } else { self.begin_anew(program) }
+    fn send(&mut self, program: &PathBuf, line: &str) -> io::Result<()> {
+        self.ensure_running(program)?;
+        if self.write(line).is_ok() { Ok(()) } else { self.restart(program) }
     }
 
-    /// Somebody has killed it: the next one is told of all that there is.
-    fn begin_anew(&mut self, program: &PathBuf) -> io::Result<()> {
+    /// Starts a new warden after the last one was killed, and sends it everything there is to guard.
+    fn restart(&mut self, program: &PathBuf) -> io::Result<()> {
         if let Some(mut dead) = self.process.take() {
             let _ = dead.kill();
             let _ = dead.wait();
         }
-        self.be_there(program)?;
+        self.ensure_running(program)?;
         let all: String = self
             .guarded
             .iter()
@@ -121,20 +120,20 @@ impl State {
 }
 
 impl Guarded<'_> {
-    /// It was started, and has a group.
+    /// Reports the process group of the program after it has started.
     pub fn has_group(&self, group: Pid) -> io::Result<()> {
         let group = group.as_raw_nonzero().get();
         let mut state = self.warden.state.lock().unwrap_or_else(PoisonError::into_inner);
         state.guarded.insert(self.folder.clone(), Some(group));
-        state.tell(&self.warden.program, &line('+', Some(group), &self.folder))
+        state.send(&self.warden.program, &line('+', Some(group), &self.folder))
     }
 
-    /// Sees to it that there is a warden still; to be called now and then.
+    /// Restarts the warden if it was killed; call this from time to time.
     pub fn renew(&self) -> io::Result<()> {
         let mut state = self.warden.state.lock().unwrap_or_else(PoisonError::into_inner);
         match state.process.as_mut().map(Child::try_wait) {
             Some(Ok(None)) => Ok(()),
-            _ => state.begin_anew(&self.warden.program),
+            _ => state.restart(&self.warden.program),
         }
     }
 }
@@ -143,7 +142,7 @@ impl Drop for Guarded<'_> {
     fn drop(&mut self) {
         let mut state = self.warden.state.lock().unwrap_or_else(PoisonError::into_inner);
         state.guarded.remove(&self.folder);
-        // One that cannot be told is dead, and its successor is not told of this program.
+        // A warden that cannot be reached is dead, and its successor will not hear of this program.
         let _ = state.write(&line('-', None, &self.folder));
     }
 }
@@ -158,8 +157,8 @@ impl Drop for Warden {
     }
 }
 
-/// `?<folder>` before a program is started, `+<group> <folder>` once it was, `-<folder>` when it has ended; the folder in
-/// hexadecimal digits, so that it is one line whatever is in it.
+/// `?<folder>` before a program starts, `+<group> <folder>` afterwards, `-<folder>` when it has ended. The folder is written in
+/// hexadecimal, so that it is one line whatever its name.
 fn line(word: char, group: Option<i32>, folder: &Path) -> String {
     let group = group.map(|group| format!("{group} ")).unwrap_or_default();
     let bytes = folder.as_os_str().as_encoded_bytes();
@@ -174,7 +173,7 @@ fn folder_of(text: &str) -> Option<PathBuf> {
     Some(OsString::from_vec(bytes?).into()).filter(|folder: &PathBuf| folder.is_absolute())
 }
 
-/// The warden's side: listens until the engine is gone, then kills what is left.
+/// The warden process: listens until the engine is gone, then kills what is left.
 pub fn watch_over() -> ExitCode {
     let mut guarded: BTreeMap<PathBuf, Option<i32>> = BTreeMap::new();
     for line in io::stdin().lock().lines() {
@@ -191,12 +190,12 @@ pub fn watch_over() -> ExitCode {
     guarded.values().flatten().for_each(|group| kill_group(*group));
     let began = Instant::now();
     let being_started = guarded.values().any(Option::is_none);
-    // What is killed leaves children of its own for the next round; a busy machine may take long for a round.
+    // Children of killed processes are left for the next round; on a busy machine a round can take long.
     let mut rounds_without = 0;
     while !guarded.is_empty() && began.elapsed() < LONGEST {
-        // Whoever was given this process was given those of the engine, too.
+        // The process that adopted this one has adopted the engine's other children, too.
         let parent = getppid().map_or(1, |parent| parent.as_raw_nonzero().get());
-        let found = hunt(guarded.keys().map(PathBuf::as_path), parent);
+        let found = kill_users(guarded.keys().map(PathBuf::as_path), parent);
         rounds_without = if found { 0 } else { rounds_without + 1 };
         if rounds_without >= 2 && (!being_started || began.elapsed() > SEARCH) {
             break;
@@ -206,13 +205,13 @@ pub fn watch_over() -> ExitCode {
     ExitCode::SUCCESS
 }
 
-/// Kills every child of `parent` that has to do with one of the folders; true where there was one.
-fn hunt<'f>(folders: impl Iterator<Item = &'f Path> + Clone, parent: i32) -> bool {
+/// Kills every child of `parent` that uses one of the folders; true where there was one.
+fn kill_users<'f>(folders: impl Iterator<Item = &'f Path> + Clone, parent: i32) -> bool {
     let own = rustix::process::getpid().as_raw_nonzero().get();
     let mut found = false;
     let is_one = |process: &Process| process.parent == parent && process.pid != own && !process.is_zombie;
     for process in processes::all().into_iter().filter(is_one) {
-        // Once it is held by a descriptor, its number cannot become another's.
+        // While a pidfd is open, the process ID cannot be reused.
         let Some(held) = Pid::from_raw(process.pid).and_then(|pid| pidfd_open(pid, PidfdFlags::empty()).ok())
         else {
             continue;
@@ -236,18 +235,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_process_is_hunted_down_by_the_folder_that_it_works_in() {
+    fn a_process_is_found_by_its_working_folder_and_killed() {
         let place = tempfile::tempdir().unwrap();
         let folder = place.path().canonicalize().unwrap().join("a\nname");
         std::fs::create_dir(&folder).unwrap();
         let mut child = Command::new("sleep").arg("60").env_clear().current_dir(&folder).spawn().unwrap();
-        let told = line('+', Some(7), &folder);
-        let told = told.trim_end().split_once(' ').unwrap().1;
-        assert_eq!(folder_of(told), Some(folder.clone()));
+        let sent = line('+', Some(7), &folder);
+        let sent = sent.trim_end().split_once(' ').unwrap().1;
+        assert_eq!(folder_of(sent), Some(folder.clone()));
         let own = i32::try_from(std::process::id()).unwrap();
-        assert!(!hunt(std::iter::once(Path::new("/else/where")), own));
-        assert!(!hunt(std::iter::once(folder.as_path()), 1));
-        assert!(hunt(std::iter::once(folder.as_path()), own));
+        assert!(!kill_users(std::iter::once(Path::new("/else/where")), own));
+        assert!(!kill_users(std::iter::once(folder.as_path()), 1));
+        assert!(kill_users(std::iter::once(folder.as_path()), own));
         assert!(!child.wait().unwrap().success());
     }
 }

@@ -1,18 +1,18 @@
-//! The threads that work on a run's stages. One is started when all others are busy, and kept for the rest of the run: to
-//! start one for every stage costs a stage of some milliseconds a tenth of its time.
+//! The worker threads of a run. One is started when all others are busy, and kept for the rest of the run: a new thread per
+//! stage would cost a stage of a few milliseconds a tenth of its time.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex};
 use std::thread::Scope;
 
-/// Threads within a scope that do `work` on tasks.
+/// Threads within a scope that call `work` on tasks.
 pub(super) struct Workers<'scope, 'env, T, F> {
     scope: &'scope Scope<'scope, 'env>,
     work: F,
     tasks: Sender<T>,
     queue: Arc<Mutex<Receiver<T>>>,
-    /// Threads that wait for a task and for which none is on its way.
+    /// Threads that wait for a task and have not been assigned one.
     idle: Arc<AtomicUsize>,
 }
 
@@ -21,13 +21,13 @@ where
     T: Send + 'scope,
     F: Fn(T) + Clone + Send + 'scope,
 {
-    /// None so far. They end once this is dropped and their tasks are done.
+    /// Starts without threads. They end once this is dropped and their tasks are done.
     pub fn new(scope: &'scope Scope<'scope, 'env>, work: F) -> Self {
         let (tasks, queue) = channel();
         Self { scope, work, tasks, queue: Arc::new(Mutex::new(queue)), idle: Arc::default() }
     }
 
-    /// Has a task done at once, by a thread of its own.
+    /// Starts a task at once, on an idle thread or a new one.
     pub fn start(&self, task: T) {
         let one_less = |idle: usize| idle.checked_sub(1);
         let claimed = self.idle.fetch_update(Ordering::AcqRel, Ordering::Acquire, one_less).is_ok();
@@ -53,7 +53,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn tasks_run_at_the_same_time_on_threads_that_are_used_again() {
+    fn tasks_run_at_the_same_time_on_threads_that_are_reused() {
         let (sender, receiver) = channel::<(ThreadId, Sender<()>)>();
         let mut threads = HashSet::new();
         thread::scope(|scope| {

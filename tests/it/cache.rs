@@ -233,8 +233,8 @@ fn a_file_that_changes_after_the_plan_does_not_enter_a_result() {
         &Default::default(),
         &Default::default(),
         &mut |event| {
-            if let Event::StageFailed { error, .. } = event {
-                errors.push(error.clone())
+            if let Event::StageFailed { failure, .. } = event {
+                errors.push(failure.to_string())
             }
         },
     );

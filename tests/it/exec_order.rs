@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use dril_pipe::exec::{self, ChildRunner, Event, ExecError, Exit, Launch, Options, Runner};
+use dril_pipe::exec::{self, ChildRunner, Event, ExecError, Exit, Failure, Launch, Options, Runner};
 use dril_stage_api::Message;
 use serde_json::json;
 
@@ -184,12 +184,12 @@ fn without_keep_going_nothing_starts_after_a_failure() {
 fn every_way_to_fail_is_told_apart() {
     for (mishap, expected) in [
         ("fail", "told to fail at 1"),
-        ("panic", "it panicked: told to panic at 1; the log says where"),
+        ("panic", "it panicked: told to panic at 1; see the log"),
         ("crash", "it was killed by SIGABRT"),
-        ("exit", "it ended with exit code 9 without saying why"),
+        ("exit", "it ended with exit code 9 and reported no error"),
         ("no-output", "output `count` was not written"),
         ("folder", "output `count` is a folder, expected a file"),
-        ("link", "output `count` is a link or no regular file, expected a file"),
+        ("link", "output `count` is a link or not a regular file, expected a file"),
     ] {
         let lab = Lab::new();
         let ran = lab.run_children(&[count("bad", json!({"mishap": mishap, "at": 1}))], &options(1));
@@ -313,8 +313,9 @@ fn a_missing_worker_is_told_before_anything_runs() {
         &AtomicBool::new(false),
         &mut |event| told.push(event.clone()),
     );
-    let Err(ExecError::Worker { kind: "elsewhere", message }) = error else { panic!("{error:?}") };
-    assert!(message.contains("dril-pipe-nowhere` is not there"), "{message}");
+    let Err(ExecError::Worker { kind: "elsewhere", source }) = error else { panic!("{error:?}") };
+    let message = source.to_string();
+    assert!(message.contains("dril-pipe-nowhere` does not exist"), "{message}");
     assert!(told.is_empty() && !lab.store.root().exists());
 }
 
@@ -330,7 +331,7 @@ fn a_program_that_cannot_start_fails_its_stages_with_the_reason() {
 struct Broken;
 
 impl Runner for Broken {
-    fn run(&self, _: &Launch<'_>, _: &mut dyn FnMut(Message)) -> std::io::Result<Exit> {
+    fn run(&self, _: &Launch<'_>, _: &mut dyn FnMut(Message)) -> Result<Exit, Failure> {
         panic!("a fault in the runner")
     }
 }

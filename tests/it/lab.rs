@@ -156,7 +156,7 @@ impl Ran {
     /// The error of the stage that failed.
     pub fn error(&self) -> String {
         let errors = self.events.iter().filter_map(|event| match event {
-            Event::StageFailed { error, .. } => Some(error.clone()),
+            Event::StageFailed { failure, .. } => Some(failure.to_string()),
             _ => None,
         });
         errors.collect::<Vec<_>>().join("; ")

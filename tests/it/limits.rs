@@ -57,7 +57,7 @@ fn a_timeout_is_told_apart_from_a_failure() {
     assert_eq!(ended.code, 1, "{ended:?}");
     let event = failed(&ended);
     assert_eq!(event["cause"], "timeout");
-    assert_eq!(event["error"], "it took longer than the 0.2 s that its `timeout` allows");
+    assert_eq!(event["error"], "it ran longer than its `timeout` of 0.2 s");
 }
 
 #[test]
@@ -71,7 +71,7 @@ fn a_stage_that_takes_too_much_memory_is_killed_and_that_is_told_apart() {
     let event = failed(&ended);
     assert_eq!(event["cause"], "memory", "{event}");
     let error = event["error"].as_str().unwrap();
-    assert!(error.contains("more than the 150 MiB that its `memory` allows"), "{error}");
+    assert!(error.contains("more than its limit of 150 MiB (`memory`)"), "{error}");
 }
 
 #[test]

@@ -68,13 +68,14 @@ impl Reporter for Json<'_> {
             Event::StageFinished { stage, took } => {
                 self.stage("ran", *stage, json!({ "seconds": took.as_secs_f64() }));
             }
-            Event::Retrying { stage, retry, of, error, pause } => {
+            Event::Retrying { stage, retry, of, failure, pause } => {
                 let seconds = pause.as_secs_f64();
-                let fields = json!({ "retry": retry, "of": of, "error": error, "seconds": seconds });
+                let fields =
+                    json!({ "retry": retry, "of": of, "error": failure.to_string(), "seconds": seconds });
                 self.stage("retrying", *stage, fields);
             }
-            Event::StageFailed { stage, error, cause, log_tail, log } => {
-                let cause = cause.name();
+            Event::StageFailed { stage, failure, log_tail, log } => {
+                let (error, cause) = (failure.to_string(), failure.kind().name());
                 let fields = json!({ "error": error, "cause": cause, "log_tail": log_tail, "log": log.to_string_lossy() });
                 self.stage("failed", *stage, fields);
             }

@@ -22,9 +22,9 @@ impl Reporter for Quiet<'_> {
     fn planned(&mut self, _: &Plan<'_>, _: usize) {}
 
     fn event(&mut self, event: &Event) {
-        if let Event::StageFailed { stage, error, log_tail, log, .. } = event {
+        if let Event::StageFailed { stage, failure: reason, log_tail, log } = event {
             let id = self.graph.stages.node_weight(*stage).map_or("", |stage| &stage.id);
-            print_error(&(failure(id, error, log_tail, log) + "\n"));
+            print_error(&(failure(id, &reason.to_string(), log_tail, log) + "\n"));
         }
     }
 

@@ -121,15 +121,16 @@ impl<'g> Story<'g> {
                 self.done += 1;
                 Some(self.line(Style::Good, "ran", *stage, &format!(" in {}", duration(*took))))
             }
-            Event::Retrying { stage, retry, of, error, pause } => {
+            Event::Retrying { stage, retry, of, failure, pause } => {
+                let error = failure.to_string();
                 let first = printable(error.lines().next().unwrap_or_default());
                 let more = format!(" in {} ({retry} of {of}): {first}", duration(*pause));
                 Some(self.line(Style::Notable, "again", *stage, &more))
             }
-            Event::StageFailed { stage, error, log_tail, log, .. } => {
+            Event::StageFailed { stage, failure: reason, log_tail, log } => {
                 self.done += 1;
                 self.failed.push(*stage);
-                Some(Line::Error(failure(self.id(*stage), error, log_tail, log)))
+                Some(Line::Error(failure(self.id(*stage), &reason.to_string(), log_tail, log)))
             }
             Event::Skipped { stage, .. } => {
                 // They can be many; the end names them in groups.

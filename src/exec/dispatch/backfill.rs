@@ -1,25 +1,24 @@
-//! What may start before the first of the queue, when that one wants more threads than are free: stages that will
-//! probably be done before it could start anyway. So a stage of two threads neither leaves a thread idle while it waits
-//! for a long one, nor is it kept waiting by ever more small ones (EASY backfilling; D. Lifka, "The ANL/IBM SP
-//! scheduling system", 1995). Costs are guesses, so there is a bound that needs none: once the first waits for nothing but
-//! what slipped in before it, nothing more slips in.
+//! EASY backfilling (D. Lifka, "The ANL/IBM SP scheduling system", 1995): while the first stage of the queue waits for more
+//! threads than are free, shorter stages may start that will probably end before it could start anyway. So no thread idles
+//! while a two-thread stage waits for a long one, and small stages do not delay it forever. Costs are estimates, so there is a
+//! bound that does not need them: once the first stage waits only for stages that were started this way, no more are.
 
 use std::time::Instant;
 
 use super::Dispatcher;
 use crate::resolve::StageIndex;
 
-/// So many stages of the queue are looked at.
+/// Stages of the queue that are considered.
 const DEPTH: usize = 64;
 
-/// Running stages, and how fast work is done in this run.
+/// Running stages, and the speed of this run.
 #[derive(Debug, Default)]
 pub(super) struct Pace {
     running: Vec<Running>,
-    /// The stage that waits for room, and those that slipped in before it.
+    /// The stage that waits for threads, and those that were started before it.
     waits: Option<StageIndex>,
-    slipped: Vec<StageIndex>,
-    /// Of stages that ended: their cost, and the seconds they took.
+    backfilled: Vec<StageIndex>,
+    /// Of ended stages: total cost, and total seconds.
     done: (f64, f64),
 }
 
@@ -44,23 +43,23 @@ impl Pace {
         }
     }
 
-    /// True where `first` waits for others than those that slipped in before it: with these over it still had no room.
+    /// True where `first` waits for stages other than the backfilled ones: without these, it still could not start.
     fn waits_for_others(&mut self, first: StageIndex, free: usize, wanted: usize) -> bool {
         if self.waits != Some(first) {
             self.waits = Some(first);
-            self.slipped.clear();
+            self.backfilled.clear();
         }
-        let slipped = self.running.iter().filter(|running| self.slipped.contains(&running.stage));
-        free + slipped.map(|running| running.threads).sum::<usize>() < wanted
+        let backfilled = self.running.iter().filter(|running| self.backfilled.contains(&running.stage));
+        free + backfilled.map(|running| running.threads).sum::<usize>() < wanted
     }
 
-    /// Seconds for a unit of cost, by what is done; kinds mean seconds unless they are wrong.
+    /// Seconds per unit of cost so far. Kinds estimate seconds, so it is 1 at first.
     fn rate(&self) -> f64 {
         let (cost, seconds) = self.done;
         if cost > 0.0 && seconds > 0.0 { seconds / cost } else { 1.0 }
     }
 
-    /// Seconds until so many threads are free.
+    /// Seconds until `wanted` threads are free.
     fn until_free(&self, free: usize, wanted: usize) -> f64 {
         let mut left: Vec<(f64, usize)> = self
             .running
@@ -68,7 +67,7 @@ impl Pace {
             .map(|running| {
                 let took = running.began.elapsed().as_secs_f64();
                 let left = running.cost * self.rate() - took;
-                // One that takes longer than it should will, by all that is known, take as long again.
+                // A stage that is overdue is expected to take as long again.
                 (if left > 0.0 { left } else { took }, running.threads)
             })
             .collect();
@@ -85,8 +84,8 @@ impl Pace {
 }
 
 impl Dispatcher<'_, '_> {
-    /// Takes the first stage of the queue that has room and will be done before `first` could start.
-    pub(super) fn slip_in(&mut self, first: StageIndex, free: usize) -> Option<StageIndex> {
+    /// Takes the first stage of the queue that fits and will end before `first` could start.
+    pub(super) fn backfill(&mut self, first: StageIndex, free: usize) -> Option<StageIndex> {
         if free == 0 {
             return None;
         }
@@ -96,23 +95,22 @@ impl Dispatcher<'_, '_> {
         }
         let until = self.pace.until_free(free, wanted);
         let rate = self.pace.rate();
-        let (shape, graph) = (self.shape, self.shape.graph);
-        let pool = &self.pool;
+        let (context, pool) = (self.context, &self.pool);
         let fits = |stage: StageIndex| {
-            let node = &graph.stages[stage];
+            let node = &context.graph.stages[stage];
             node.needs.threads.max(1) <= free
                 && pool.has(&node.resources)
-                && shape.order.own_cost(shape.graph, stage) * rate <= until
+                && context.order.own_cost(context.graph, stage) * rate <= until
         };
         let found = self.ready.take_first(DEPTH, fits);
-        self.pace.slipped.extend(found);
+        self.pace.backfilled.extend(found);
         found
     }
 
-    /// Takes a stage of the queue that can start while `first` waits for a resource: one that asks for nothing of what the
-    /// first waits for, so that it is not kept waiting.
+    /// Takes a stage of the queue that can start while `first` waits for a resource. It must not use that resource itself, so
+    /// that `first` is not delayed.
     pub(super) fn pass_by(&mut self, first: StageIndex, free: usize) -> Option<StageIndex> {
-        let graph = self.shape.graph;
+        let graph = self.context.graph;
         let (waits_for, pool) = (&graph.stages[first].resources, &self.pool);
         let idle = self.running == 0;
         self.ready.take_first(DEPTH, |stage| {
@@ -124,7 +122,7 @@ impl Dispatcher<'_, '_> {
     }
 
     pub(super) fn own_cost(&self, stage: StageIndex) -> f64 {
-        self.shape.order.own_cost(self.shape.graph, stage)
+        self.context.order.own_cost(self.context.graph, stage)
     }
 }
 
@@ -133,7 +131,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_stage_waits_for_the_threads_that_come_free_first() {
+    fn a_stage_waits_for_the_threads_that_are_free_first() {
         let mut pace = Pace::default();
         for (stage, threads, cost) in [(0, 1, 100.0), (1, 1, 10.0), (2, 2, 1000.0)] {
             pace.began(StageIndex::new(stage), threads, cost);
@@ -147,24 +145,24 @@ mod tests {
     }
 
     #[test]
-    fn a_stage_that_waits_only_for_those_that_slipped_in_is_not_kept_waiting_by_more() {
+    fn a_stage_that_waits_only_for_backfilled_ones_is_not_delayed_by_more() {
         let (long, wide, small, other) =
             (StageIndex::new(0), StageIndex::new(1), StageIndex::new(2), StageIndex::new(3));
         let mut pace = Pace::default();
         pace.began(long, 1, 100.0);
         assert!(pace.waits_for_others(wide, 1, 2));
-        pace.slipped.push(small);
+        pace.backfilled.push(small);
         pace.began(small, 1, 1.0);
-        // The long one still holds what the wide one wants; then only the small one does, however long it takes.
+        // First the long stage occupies what the wide one needs; then only the small one does.
         assert!(pace.waits_for_others(wide, 0, 2));
         pace.ended(long);
         assert!(!pace.waits_for_others(wide, 1, 2));
-        // For another stage everything that runs was there before.
+        // For another stage, everything that runs was there before.
         assert!(pace.waits_for_others(other, 1, 2));
     }
 
     #[test]
-    fn one_that_takes_longer_than_it_should_is_expected_to_take_as_long_again() {
+    fn an_overdue_stage_is_expected_to_take_as_long_again() {
         let mut pace = Pace::default();
         pace.began(StageIndex::new(0), 1, 0.0);
         std::thread::sleep(std::time::Duration::from_millis(5));

@@ -1,11 +1,12 @@
-//! What becomes of a stage once it is built, failed or found: its readers wake, or are skipped.
+//! State transitions: what happens to a stage and to the stages downstream once it is built, found in the store, failed or
+//! stopped.
 
 use std::sync::Arc;
 use std::time::Duration;
 
-use super::{Dispatcher, State, TAIL, TAIL_WIDTH};
-use crate::exec::work::Failure;
-use crate::exec::{Cause, Event};
+use super::{Dispatcher, State, TAIL_LINES, TAIL_WIDTH};
+use crate::exec::event::Event;
+use crate::exec::failure::Failure;
 use crate::plan::{self, Cached};
 use crate::resolve::StageIndex;
 use crate::store::{Key, Outputs, StoreError};
@@ -24,33 +25,30 @@ impl Dispatcher<'_, '_> {
         self.done[stage.index()] = Some(Arc::clone(&outputs));
         self.wake_readers(stage)?;
         for &twin in twins {
-            self.settle(twin, key, Arc::clone(&outputs))?;
+            self.found(twin, key, Arc::clone(&outputs))?;
         }
         Ok(())
     }
 
     pub(super) fn not_built(&mut self, stage: StageIndex, failure: Failure, twins: &[StageIndex]) {
-        match failure {
-            Failure::Stopped => {
-                self.state[stage.index()] = State::Over;
-                self.outcome.stopped += 1;
-                self.journal.tell(&Event::Stopped { stage });
-            }
-            Failure::Failed(error, cause) => {
-                self.failed(stage, error, cause);
-                self.skip_readers(stage, stage);
-                for &twin in twins {
-                    self.skip(twin, stage);
-                    self.skip_readers(twin, stage);
-                }
-            }
+        self.failed(stage, failure);
+        self.skip_readers(stage, stage);
+        for &twin in twins {
+            self.skip(twin, stage);
+            self.skip_readers(twin, stage);
         }
+    }
+
+    pub(super) fn stopped(&mut self, stage: StageIndex) {
+        self.state[stage.index()] = State::Over;
+        self.outcome.stopped += 1;
+        self.journal.emit(&Event::Stopped { stage });
     }
 
     pub(super) fn committed(
         &mut self,
         stage: StageIndex,
-        committed: Result<Duration, String>,
+        committed: Result<Duration, StoreError>,
     ) -> Result<(), StoreError> {
         self.committing -= 1;
         if let Some(key) = &self.keys[stage.index()] {
@@ -59,36 +57,37 @@ impl Dispatcher<'_, '_> {
         match committed {
             Ok(took) => {
                 self.outcome.ran += 1;
-                self.journal.tell(&Event::StageFinished { stage, took });
-                self.note(stage)
+                self.journal.emit(&Event::StageFinished { stage, took });
+                self.record_in_history(stage)
             }
-            // Its outputs can be used, so what depends on it goes on; but it has no record.
+            // Its outputs can be used, so stages downstream go on; but it has no record.
             Err(error) => {
-                self.failed(stage, error, Cause::Store);
+                self.failed(stage, error.into());
                 Ok(())
             }
         }
     }
 
-    pub(super) fn failed(&mut self, stage: StageIndex, error: String, cause: Cause) {
+    pub(super) fn failed(&mut self, stage: StageIndex, failure: Failure) {
         self.state[stage.index()] = State::Over;
         self.outcome.failed += 1;
-        if !self.site.options.keep_going {
+        if !self.context.options.keep_going {
             self.halted.get_or_insert(stage);
         }
-        let log = self.journal.run().map(|run| run.log(&self.log_stem(stage))).unwrap_or_default();
-        let log_tail = match crate::fsx::tail(&log, TAIL, TAIL_WIDTH) {
+        let log = self.journal.run().map(|run| run.log(&self.log_name(stage))).unwrap_or_default();
+        let log_tail = match crate::fsx::tail(&log, TAIL_LINES, TAIL_WIDTH) {
             Err(error) if !error.is_not_found() => vec![format!("({error})")],
             tail => tail.unwrap_or_default(),
         };
-        self.journal.tell(&Event::StageFailed { stage, error, cause, log_tail, log });
+        let failure = Arc::new(failure);
+        self.journal.emit(&Event::StageFailed { stage, failure, log_tail, log });
     }
 
-    /// Skips all that can not run because `because` failed.
+    /// Skips all stages downstream of `stage`, because `because` failed.
     pub(super) fn skip_readers(&mut self, stage: StageIndex, because: StageIndex) {
         let mut behind = vec![stage];
         while let Some(stage) = behind.pop() {
-            for &reader in self.shape.order.readers(stage) {
+            for &reader in self.context.order.readers(stage) {
                 if self.state[reader.index()] == State::Pending {
                     self.skip(reader, because);
                     behind.push(reader);
@@ -100,11 +99,11 @@ impl Dispatcher<'_, '_> {
     pub(super) fn skip(&mut self, stage: StageIndex, because: StageIndex) {
         self.state[stage.index()] = State::Over;
         self.outcome.skipped += 1;
-        self.journal.tell(&Event::Skipped { stage, because });
+        self.journal.emit(&Event::Skipped { stage, because });
     }
 
-    /// A stage whose outputs are there: done without running, and so may be those behind it.
-    pub(super) fn settle(
+    /// A stage whose outputs turn out to exist: done without running, and stages downstream may be done, too.
+    pub(super) fn found(
         &mut self,
         stage: StageIndex,
         key: Key,
@@ -124,20 +123,20 @@ impl Dispatcher<'_, '_> {
         self.state[stage.index()] = State::Done;
         self.done[stage.index()] = Some(outputs);
         self.outcome.cached += 1;
-        self.journal.tell(&Event::Cached { stage, key });
-        self.note(stage)
+        self.journal.emit(&Event::Cached { stage, key });
+        self.record_in_history(stage)
     }
 
-    /// Looks at the stages behind one that is done: their keys can now be known, and what is there already is done too.
+    /// Visits the stages downstream of one that is done: their keys can be known now, and cache hits are done, too.
     pub(super) fn wake_readers(&mut self, stage: StageIndex) -> Result<(), StoreError> {
         let mut done = vec![stage];
         while let Some(stage) = done.pop() {
-            for &reader in self.shape.order.readers(stage) {
+            for &reader in self.context.order.readers(stage) {
                 self.left[reader.index()] -= 1;
                 if self.left[reader.index()] > 0 || self.state[reader.index()] != State::Pending {
                     continue;
                 }
-                match plan::key_of(&self.shape.graph.stages[reader], &self.done, self.shape.files) {
+                match plan::key_of(&self.context.graph.stages[reader], &self.done, self.context.files) {
                     Ok(Some(key)) => match self.look_up(reader, &key)? {
                         Cached::Yes(outputs) => {
                             self.cached(reader, key, outputs)?;
@@ -150,7 +149,7 @@ impl Dispatcher<'_, '_> {
                     },
                     Ok(None) => {}
                     Err(error) => {
-                        self.failed(reader, error.to_string(), Cause::Failed);
+                        self.failed(reader, error.into());
                         self.skip_readers(reader, reader);
                     }
                 }

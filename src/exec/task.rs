@@ -1,0 +1,219 @@
+//! One stage from its job to its record: what a worker thread does while the dispatcher goes on.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::sync::mpsc::SyncSender;
+use std::time::{Duration, Instant};
+
+use dril_stage_api::{Job, Kind, Message, Ports};
+
+use super::context::RunContext;
+use super::failure::{Failure, FailureKind};
+use super::inputs::{self, Placed};
+use super::job::{job, outside, record};
+use super::options::POLL_INTERVAL;
+use super::publish;
+use super::resources::Units;
+use super::runner::{Exit, Launch};
+use crate::fsx::{self, Lock};
+use crate::plan::OutsideFile;
+use crate::resolve::StageIndex;
+use crate::spec::Limits;
+use crate::store::{Blob, Key, Outputs, Record, Run, StoreError};
+
+/// A stage that is about to run, with the exclusive right to write its record.
+pub(super) struct Task<'a> {
+    stage: StageIndex,
+    key: Key,
+    lock: Lock,
+    /// The units of counted resources that it holds.
+    units: Units,
+    run: Arc<Run>,
+    job: Job,
+    ports: &'a Ports,
+    kind: Kind,
+    threads: usize,
+    limits: Limits,
+    /// Files from outside that it reads.
+    files: Vec<&'a OutsideFile>,
+    /// Inputs that are laid out in its private folder.
+    placed: Vec<Placed>,
+    /// Complete but for what is known only afterwards: outputs and duration.
+    record: Record,
+    /// Its private folder, which does not exist yet.
+    folder: PathBuf,
+    log: PathBuf,
+}
+
+/// Events that a worker sends to the dispatcher.
+pub(super) enum WorkerEvent {
+    /// A message of the stage.
+    Message(StageIndex, Message),
+    /// The stage ended with success, and its outputs can be read: stages that wait for them can start. A crash before
+    /// [`WorkerEvent::Committed`] means only that it runs again, since keys go by content.
+    Built(StageIndex, Arc<Outputs>),
+    /// It was asked to stop, and did.
+    Stopped(StageIndex),
+    /// It failed.
+    Failed(StageIndex, Failure),
+    /// It failed and will be tried again after a pause.
+    Retrying {
+        stage: StageIndex,
+        /// The number of the next try, from 1.
+        retry: u32,
+        failure: Failure,
+        pause: Duration,
+    },
+    /// After `Built`: the record is durable (with the time that the stage took), or could not be written.
+    Committed(StageIndex, Result<Duration, StoreError>),
+}
+
+/// What came of trying to build a stage, where it did not fail.
+enum Attempt {
+    Built { blobs: Vec<Blob>, took: Duration },
+    Stopped,
+}
+
+impl<'a> Task<'a> {
+    /// Prepares a stage whose inputs are all built.
+    pub fn new(
+        stage: StageIndex,
+        key: Key,
+        (lock, units): (Lock, Units),
+        run: Arc<Run>,
+        done: &[Option<Arc<Outputs>>],
+        context: RunContext<'a>,
+    ) -> Self {
+        let node = &context.graph.stages[stage];
+        let folder = run.temporary().join(key.hex());
+        let (job, placed) = job(node, &key, &folder, done, context);
+        Self {
+            log: run.log(&context.log_name(stage, Some(&key))),
+            job,
+            placed,
+            record: record(node, done, context),
+            ports: &node.ports,
+            kind: node.kind,
+            threads: node.needs.threads.max(1),
+            limits: node.limits,
+            files: outside(node, context).collect(),
+            stage,
+            key,
+            lock,
+            units,
+            run,
+            folder,
+        }
+    }
+
+    /// Builds the stage, publishes its outputs, and reports every step. The dispatcher may be gone by then, so failed sends
+    /// are ignored.
+    pub fn work(mut self, context: RunContext<'_>, events: &SyncSender<WorkerEvent>) {
+        let stage = self.stage;
+        let send = |event| drop(events.send(event));
+        // A panic in a runner must not leave the dispatcher waiting forever.
+        let built = catch_unwind(AssertUnwindSafe(|| self.build_with_retries(context, &send)));
+        match built.unwrap_or(Err(Failure::Panicked)) {
+            Err(failure) => send(WorkerEvent::Failed(stage, failure)),
+            Ok(Attempt::Stopped) => send(WorkerEvent::Stopped(stage)),
+            Ok(Attempt::Built { blobs, took }) => {
+                send(WorkerEvent::Built(stage, Arc::new(self.record.outputs.clone())));
+                let committed = publish::commit(context.store, &self.key, &self.record, &blobs, &self.folder);
+                send(WorkerEvent::Committed(stage, committed.map(|()| took)));
+            }
+        }
+        self.run.clear(&self.folder);
+        let _ = self.lock.remove();
+    }
+
+    /// Tries as often as its `retries` allow. A problem of the store is not retried: it would not go away.
+    fn build_with_retries(
+        &mut self,
+        context: RunContext<'_>,
+        send: &dyn Fn(WorkerEvent),
+    ) -> Result<Attempt, Failure> {
+        let stage = self.stage;
+        let mut retry = 0;
+        loop {
+            let failure = match self.build(context, send) {
+                Err(failure) if failure.kind() != FailureKind::Store && retry < self.limits.retries => {
+                    failure
+                }
+                other => return other,
+            };
+            retry += 1;
+            let pause = self.limits.pause_before(retry);
+            send(WorkerEvent::Retrying { stage, retry, failure, pause });
+            let began = Instant::now();
+            while began.elapsed() < pause {
+                if context.halt.load(Ordering::Relaxed) {
+                    return Ok(Attempt::Stopped);
+                }
+                std::thread::sleep(POLL_INTERVAL.min(pause - began.elapsed().min(pause)));
+            }
+        }
+    }
+
+    fn build(&mut self, context: RunContext<'_>, send: &dyn Fn(WorkerEvent)) -> Result<Attempt, Failure> {
+        for file in &self.files {
+            let _held = context.store.hold()?;
+            self.run.rely_on([], [file.digest])?;
+            if let Some(folder) = &file.folder {
+                self.run.rely_on([], folder.files().map(|(_, file)| file.digest))?;
+            }
+            publish::import(file, context.store, &self.run)?;
+        }
+        // An earlier stage of this run with the same key may have left it (two stages that were forced).
+        fsx::remove_dir_all(&self.folder)?;
+        fsx::create_dir(&self.folder)?;
+        if self.ports.outside.is_some() {
+            self.record.outputs = publish::outside_as_outputs(&self.files, self.ports);
+            return Ok(Attempt::Built { blobs: Vec::new(), took: Duration::ZERO });
+        }
+        let laid_out = inputs::lay_out(&self.placed, context.store)?;
+        let launch = Launch {
+            job: &self.job,
+            kind: self.kind,
+            lock: Some(&self.lock),
+            log: &self.log,
+            folder: &self.folder,
+            threads: self.threads,
+            units: &self.units,
+            stop: context.halt,
+            grace: context.options.grace,
+            limits: self.limits,
+        };
+        let began = Instant::now();
+        let (stage, made_with) = (self.stage, &mut self.record.fingerprint.with);
+        let mut on_message = |message| match message {
+            Message::MadeWith(versions) => made_with.extend(versions),
+            other => send(WorkerEvent::Message(stage, other)),
+        };
+        let exit = context.runner.run(&launch, &mut on_message);
+        if exit.map_err(|failure| self.name_inputs(failure))? == Exit::Stopped {
+            return Ok(Attempt::Stopped);
+        }
+        let took = began.elapsed();
+        laid_out.check()?;
+        self.record.seconds = took.as_secs_f64();
+        let (outputs, blobs) = publish::take_outputs(self.ports, &self.folder, context.store, &self.run)?;
+        self.record.outputs = outputs;
+        Ok(Attempt::Built { blobs, took })
+    }
+
+    /// Names inputs in a stage's error as the pipeline file does: the stage itself knows only the paths of blobs.
+    fn name_inputs(&self, failure: Failure) -> Failure {
+        let Failure::Stage(mut error) = failure else { return failure };
+        for (port, items) in &self.job.inputs {
+            let origins = self.record.inputs.iter().find(|input| input.port == *port);
+            for (item, origin) in items.iter().zip(origins.iter().flat_map(|input| &input.items)) {
+                if let Some(path) = item.path.to_str().filter(|path| error.contains(*path)) {
+                    error = error.replace(path, &format!("{} (input `{port}`, {path})", origin.from));
+                }
+            }
+        }
+        Failure::Stage(error)
+    }
+}
