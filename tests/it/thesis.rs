@@ -207,3 +207,9 @@ fn the_transfer_scores_the_same_tracks_by_the_same_rules_in_both_places() {
         }
     }
 }
+
+#[test]
+fn the_readme_shows_the_first_pipeline_as_it_is() {
+    let readme = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("README.md")).unwrap();
+    assert!(readme.contains(&format!("```yaml\n{}```", text("first.yaml"))));
+}
