@@ -5,6 +5,7 @@ use std::fmt;
 use crate::exec::ExecError;
 use crate::fsx::FsError;
 use crate::plan::PlanError;
+use crate::resolve::NoStage;
 use crate::spec::Diagnostics;
 use crate::store::StoreError;
 
@@ -137,6 +138,12 @@ impl From<FsError> for Error {
 impl From<StoreError> for Error {
     fn from(error: StoreError) -> Self {
         Self::new(ErrorKind::Io, error).hint("another store can be given by `--cache DIR` or DRIL_PIPE_CACHE")
+    }
+}
+
+impl From<NoStage> for Error {
+    fn from(error: NoStage) -> Self {
+        Self::new(ErrorKind::Usage, error.message).hint(error.hint)
     }
 }
 

@@ -22,5 +22,8 @@ pub mod fsx;
 pub mod kinds;
 pub mod plan;
 pub mod resolve;
+pub mod session;
 pub mod spec;
 pub mod store;
+
+pub use session::Session;

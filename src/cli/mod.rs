@@ -1,70 +1,69 @@
 //! The command line: the only module that prints, reads the environment or exits.
 //!
-//! [`run`] is the whole program; a `main` hands in the stage kinds that it offers. Each subcommand is one file; `report`
-//! has the ways to tell how a run goes.
+//! [`run`] is the whole program; `main` passes the stage kinds. `commands` has one file per subcommand, and `report` the
+//! ways to show the progress of a run.
 
 mod args;
-mod cache;
-mod checked;
 mod columns;
-mod graph;
-mod inspect;
-mod kinds;
-mod lockfile;
+mod commands;
 mod names;
-mod page;
 mod pipeline;
-mod plan;
-mod python;
-mod replay;
 mod report;
 mod resources;
-mod results;
-mod run;
-mod shell;
 mod signals;
 mod terminal;
-mod unchanged;
 pub mod untrusted;
-mod watch;
 mod why;
 
 use std::ffi::{OsStr, OsString};
 use std::path::Path;
 use std::process::ExitCode;
 
-use dril_stage_api::{Registry, Reply};
+use dril_stage_api::{Registry, Reply, Tool};
 
-use crate::error::exit_codes;
+use crate::error::{Error, exit_codes};
 use crate::exec;
 use args::{Command, Request};
-pub use page::{Page, keep_page};
-pub use python::python_folders;
+pub use commands::page::{Page, keep_page};
+use commands::{cache, graph, inspect, kinds, page, plan, run, shell, tool, watch};
 use terminal::{Terminal, print, print_error};
 
 /// The argument that makes this program run one stage, for the engine that started it.
 const STAGE: &str = "__stage";
 
-/// A subcommand that a stage crate brings along.
+/// A subcommand that a stage package brings along and that parses its own arguments.
 #[derive(Clone, Copy, Debug)]
-pub struct Extra {
+pub struct ExtraCommand {
     /// Its name on the command line.
     pub name: &'static str,
-    /// One line for people.
+    /// One line for `--help`.
     pub about: &'static str,
     /// Does the work with the arguments after the name.
     pub run: fn(&[OsString]) -> Reply,
 }
 
-/// Runs the program: `args` with the program's name first.
+/// What stage packages add to the command line.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Extensions<'a> {
+    /// Subcommands that parse their own arguments.
+    pub commands: &'a [ExtraCommand],
+    /// Subcommands that work on one artifact.
+    pub tools: &'a [Tool],
+}
+
+/// Runs the program: `args` starts with the program's name.
 pub fn run(registry: Registry, args: impl IntoIterator<Item = OsString>) -> ExitCode {
-    run_with(registry, &[], args)
+    run_with(registry, Extensions::default(), args)
 }
 
 /// As [`run`], with further subcommands.
-pub fn run_with(registry: Registry, extras: &[Extra], args: impl IntoIterator<Item = OsString>) -> ExitCode {
+pub fn run_with(
+    registry: Registry,
+    extensions: Extensions<'_>,
+    args: impl IntoIterator<Item = OsString>,
+) -> ExitCode {
     let args: Vec<OsString> = args.into_iter().collect();
-    // Before anything else: this is what every stage pays.
+    // First of all: every stage pays for what happens before this.
     if let Some(job) = stage_job(&args) {
         return exec::run_stage(Path::new(job), &registry);
     }
@@ -73,9 +72,12 @@ pub fn run_with(registry: Registry, extras: &[Extra], args: impl IntoIterator<It
     {
         return exec::watch_over();
     }
-    match args::read(args, extras, Terminal::stdout().colour) {
-        Request::Own(command) => own(&command, &registry, extras),
-        Request::Extra(index, args) => extra(&extras[index], &args),
+    match args::read(args, &extensions, Terminal::stdout().colour) {
+        Request::Own(command) => own(&command, &registry, &extensions),
+        Request::Extra(index, args) => extra(&extensions.commands[index], &args),
+        Request::Tool(index, args) => {
+            tool::main(&extensions.tools[index], &args, &registry).unwrap_or_else(|error| failed(&error))
+        }
         Request::Answer(text, is_mistake, code) => {
             if is_mistake {
                 print_error(&text);
@@ -87,11 +89,10 @@ pub fn run_with(registry: Registry, extras: &[Extra], args: impl IntoIterator<It
     }
 }
 
-/// Runs a program that works for an engine: `args` is `PROGRAM __stage JOB`, or the program, the name of one of the
-/// services and its arguments.
+/// Runs a worker executable: `args` is `PROGRAM __stage JOB`, or `PROGRAM SERVICE` with the arguments of the service.
 pub fn run_worker(
     registry: &Registry,
-    services: &[Extra],
+    services: &[ExtraCommand],
     args: impl IntoIterator<Item = OsString>,
 ) -> ExitCode {
     let args: Vec<OsString> = args.into_iter().collect();
@@ -115,7 +116,7 @@ fn stage_job(args: &[OsString]) -> Option<&OsStr> {
     }
 }
 
-fn own(command: &Command, registry: &Registry, extras: &[Extra]) -> ExitCode {
+fn own(command: &Command, registry: &Registry, extensions: &Extensions<'_>) -> ExitCode {
     let done = match command {
         Command::Run(args) => run::main(args, registry),
         Command::Watch(args) => watch::main(args, registry),
@@ -131,20 +132,23 @@ fn own(command: &Command, registry: &Registry, extras: &[Extra]) -> ExitCode {
         Command::Graph(args) => graph::main(args, registry),
         Command::Kinds(args) => kinds::main(args, registry),
         Command::Schema => shell::schema(registry),
-        Command::Completions(args) => shell::completions(args, extras),
-        Command::Man(args) => shell::man(args, extras),
-        Command::Replay(args) => replay::main(args, registry),
+        Command::Completions(args) => shell::completions(args, extensions),
+        Command::Man(args) => shell::man(args, extensions),
     };
     done.unwrap_or_else(|error| {
-        if command.speaks_json() {
+        if command.prints_json() {
             let _ = print(&report::error_line(&error));
         }
-        print_error(&error.to_string());
-        ExitCode::from(error.kind().exit_code())
+        failed(&error)
     })
 }
 
-fn extra(extra: &Extra, args: &[OsString]) -> ExitCode {
+fn failed(error: &Error) -> ExitCode {
+    print_error(&error.to_string());
+    ExitCode::from(error.kind().exit_code())
+}
+
+fn extra(extra: &ExtraCommand, args: &[OsString]) -> ExitCode {
     let (text, code) = match (extra.run)(args) {
         Reply::Done(text) => return printed(&text, exit_codes::OK),
         Reply::Failed(text) => return printed(&text, exit_codes::STAGE_FAILED),

@@ -7,10 +7,10 @@ use std::path::Path;
 
 use dril_stage_api::{Message, Registry};
 
-use super::lockfile::LockFile;
 use crate::fsx;
 use crate::plan::key_of_record;
 use crate::resolve::{self, Choices};
+use crate::session::LockFile;
 use crate::spec::{self, Memo, SourceName};
 use crate::store::{Record, Store};
 

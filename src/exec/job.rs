@@ -83,7 +83,7 @@ fn is_folder(source: &Source, context: RunContext<'_>) -> bool {
         resolve::From::File { folder, .. } => *folder,
         resolve::From::Stage { stage, output } => {
             let output = context.graph.stages[*stage].ports.find_output(output);
-            output.is_some_and(|output| output.artifact == Artifact::Folder)
+            output.is_some_and(|output| output.artifact == Artifact::FOLDER)
         }
     }
 }

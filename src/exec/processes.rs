@@ -22,7 +22,7 @@ pub(super) struct Process {
 impl Process {
     /// `None` where it is gone.
     pub fn of(pid: i32) -> Option<Self> {
-        Self::parse(pid, &fsx::read(&folder(pid).join("stat")).ok()?)
+        Self::parse(pid, &fsx::read(&proc_folder(pid).join("stat")).ok()?)
     }
 
     fn parse(pid: i32, stat: &[u8]) -> Option<Self> {
@@ -39,20 +39,38 @@ impl Process {
     /// True where it runs in `folder`, has a file in it open, or has the folder's path in its environment, as the program of a
     /// stage does.
     pub fn belongs_to(&self, folder: &Path) -> bool {
-        let place = self::folder(self.pid);
+        self.works_in(folder) || self.has_open(folder)
+    }
+
+    /// True where it runs in `folder` or has the folder's path in its environment.
+    pub fn works_in(&self, folder: &Path) -> bool {
+        let place = proc_folder(self.pid);
         // The last two components are the run and the key. The part before them may be written in several ways.
         let wanted = folder.as_os_str().as_encoded_bytes();
         let slashes = wanted.iter().enumerate().rev().filter(|(_, byte)| **byte == b'/');
         let wanted = &wanted[slashes.map(|(at, _)| at).nth(1).unwrap_or(0)..];
         let names_it = |bytes: Vec<u8>| bytes.windows(wanted.len()).any(|window| window == wanted);
-        let leads_there = |link: &Path| fsx::link_target(link).is_some_and(|to| to.starts_with(folder));
-        fsx::read(&place.join("environ")).is_ok_and(names_it)
-            || leads_there(&place.join("cwd"))
-            || fsx::list(&place.join("fd")).is_ok_and(|all| all.iter().any(|link| leads_there(link)))
+        fsx::read(&place.join("environ")).is_ok_and(names_it) || leads_into(&place.join("cwd"), folder)
+    }
+
+    /// True where it has a file or folder in `folder` open.
+    pub fn has_open(&self, folder: &Path) -> bool {
+        let open = fsx::list(&proc_folder(self.pid).join("fd")).unwrap_or_default();
+        open.iter().any(|link| leads_into(link, folder))
+    }
+
+    /// True where it runs the same executable file as this process.
+    pub fn is_this_program(&self) -> bool {
+        let own = fsx::link_target(Path::new("/proc/self/exe"));
+        own.is_some() && fsx::link_target(&proc_folder(self.pid).join("exe")) == own
     }
 }
 
-fn folder(pid: i32) -> PathBuf {
+fn leads_into(link: &Path, folder: &Path) -> bool {
+    fsx::link_target(link).is_some_and(|to| to.starts_with(folder))
+}
+
+fn proc_folder(pid: i32) -> PathBuf {
     Path::new("/proc").join(pid.to_string())
 }
 
@@ -66,7 +84,7 @@ pub(super) fn all() -> Vec<Process> {
 /// are not.
 pub(super) fn given_children(own: Pid) -> Vec<i32> {
     let own = own.as_raw_nonzero().get();
-    let list = folder(own).join("task").join(own.to_string()).join("children");
+    let list = proc_folder(own).join("task").join(own.to_string()).join("children");
     match fsx::read(&list) {
         Ok(list) => {
             String::from_utf8_lossy(&list).split_whitespace().filter_map(|pid| pid.parse().ok()).collect()

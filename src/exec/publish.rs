@@ -18,7 +18,7 @@ pub(super) fn output_path(folder: &Path, name: &str, extension: &str) -> PathBuf
 
 /// Checks that an output was written and is of the declared type.
 pub(super) fn check_output(output: &Output, path: &Path) -> Result<(), Failure> {
-    let expected = if output.artifact == Artifact::Folder { "folder" } else { "file" };
+    let expected = if output.artifact == Artifact::FOLDER { "folder" } else { "file" };
     let seen = match fsx::entry(path)? {
         Some(Entry::File(_)) if expected == "file" => return Ok(()),
         Some(Entry::Folder) if expected == "folder" => return Ok(()),
@@ -48,7 +48,7 @@ pub(super) fn take_outputs(
     // Until the record exists, nothing else protects the blobs from `gc`.
     let _held = store.hold()?;
     for (output, path) in ports.outputs.iter().zip(paths) {
-        let folder = output.artifact == Artifact::Folder;
+        let folder = output.artifact == Artifact::FOLDER;
         let executable = !folder && fsx::is_executable(&path)?;
         let blob = if folder { store.take_folder(&path)? } else { store.take(&path)? };
         run.rely_on([], blob.contents())?;

@@ -204,7 +204,7 @@ fn compare(
     store: &Store,
 ) -> Result<Option<RecheckOutcome>, Failure> {
     let digest = match output.artifact {
-        Artifact::Folder => store::hash_folder(path)?.digest(),
+        Artifact::FOLDER => store::hash_folder(path)?.digest(),
         _ => store::hash_file(path)?.0,
     };
     if digest == stored.digest {

@@ -216,7 +216,10 @@ fn kill_users<'f>(folders: impl Iterator<Item = &'f Path> + Clone, parent: i32) 
         else {
             continue;
         };
-        if folders.clone().any(|folder| process.belongs_to(folder)) {
+        // The next engine has these folders open while it removes them.
+        let is_engine = process.is_this_program();
+        let uses = |folder| process.works_in(folder) || !is_engine && process.has_open(folder);
+        if folders.clone().any(uses) {
             found |= pidfd_send_signal(&held, Signal::KILL).is_ok();
         }
     }
@@ -248,5 +251,33 @@ mod tests {
         assert!(!kill_users(std::iter::once(folder.as_path()), 1));
         assert!(kill_users(std::iter::once(folder.as_path()), own));
         assert!(!child.wait().unwrap().success());
+    }
+
+    #[test]
+    #[ignore = "the process of the next test"]
+    fn waits() {
+        std::thread::sleep(Duration::from_secs(5));
+    }
+
+    #[test]
+    fn an_engine_that_removes_the_folder_is_not_killed() {
+        let place = tempfile::tempdir().unwrap();
+        let folder = place.path().canonicalize().unwrap();
+        let open = || std::fs::File::create(folder.join("file")).unwrap();
+        let mut engine = Command::new(std::env::current_exe().unwrap());
+        engine.args(["--ignored", "--exact", "exec::warden::tests::waits"]).stdout(Stdio::null());
+        let mut engine = engine.current_dir("/").stdin(open()).spawn().unwrap();
+        let own = i32::try_from(std::process::id()).unwrap();
+        let is_up =
+            || Process::of(i32::try_from(engine.id()).unwrap()).is_some_and(|it| it.is_this_program());
+        while !is_up() {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        assert!(!kill_users(std::iter::once(folder.as_path()), own));
+        engine.kill().unwrap();
+        engine.wait().unwrap();
+        let mut program = Command::new("sleep").arg("60").current_dir("/").stdin(open()).spawn().unwrap();
+        assert!(kill_users(std::iter::once(folder.as_path()), own));
+        program.wait().unwrap();
     }
 }

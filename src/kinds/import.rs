@@ -58,21 +58,21 @@ const LEFT_OUT: [&str; 19] = [
 impl ImportParams {
     fn left_out(&self) -> Vec<String> {
         match (&self.exclude, self.artifact()) {
-            (Some(globs), Artifact::Folder) => globs.clone(),
-            (None, Artifact::Folder) => LEFT_OUT.map(str::to_owned).into(),
+            (Some(globs), Artifact::FOLDER) => globs.clone(),
+            (None, Artifact::FOLDER) => LEFT_OUT.map(str::to_owned).into(),
             _ => Vec::new(),
         }
     }
 
     fn artifact(&self) -> Artifact {
-        let plain = if self.path.ends_with('/') { Artifact::Folder } else { Artifact::File };
+        let plain = if self.path.ends_with('/') { Artifact::FOLDER } else { Artifact::FILE };
         self.artifact.unwrap_or(plain)
     }
 
     fn extension(&self) -> &str {
         let ending = Path::new(&self.path).extension().and_then(|ending| ending.to_str());
         match self.artifact() {
-            Artifact::Folder => "",
+            Artifact::FOLDER => "",
             artifact => ending.filter(|ending| is_ending(ending)).unwrap_or(artifact.extension()),
         }
     }
@@ -106,10 +106,10 @@ impl Describe for Import {
             );
         }
         match params.artifact {
-            Some(Artifact::Any) => {
+            Some(Artifact::ANY) => {
                 problems.add("type", "`type` is `any`, expected what it is, such as `file` or `folder`")
             }
-            Some(artifact) if artifact != Artifact::Folder && params.path.ends_with('/') => {
+            Some(artifact) if artifact != Artifact::FOLDER && params.path.ends_with('/') => {
                 problems.add(
                     "type",
                     format!("`type` is `{artifact}`, but a path that ends with `/` is a folder"),

@@ -74,6 +74,32 @@ pub enum Verdict {
     },
 }
 
+/// How many stages have each verdict.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Cache hits.
+    pub cached: usize,
+    /// Stages that will run.
+    pub run: usize,
+    /// Stages downstream of those.
+    pub depends: usize,
+}
+
+impl Plan<'_> {
+    /// How many stages have each verdict.
+    pub fn counts(&self) -> Counts {
+        let mut counts = Counts::default();
+        for (_, verdict) in &self.steps {
+            match verdict {
+                Verdict::Cached { .. } => counts.cached += 1,
+                Verdict::Run { .. } => counts.run += 1,
+                Verdict::DependsOn { .. } => counts.depends += 1,
+            }
+        }
+        counts
+    }
+}
+
 /// Why no plan could be made.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]

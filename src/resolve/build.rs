@@ -4,8 +4,9 @@ use std::collections::HashMap;
 
 use petgraph::graph::DiGraph;
 
+use super::context::ResolveContext;
 use super::cycles;
-use super::expand::{ENOUGH, Expanded, Instance, World};
+use super::expand::{ENOUGH, Expanded, Instance};
 use super::graph::{From, Graph, StageIndex, StageInstance};
 use super::scope::Filler;
 use super::wiring::{Wirer, Wires};
@@ -13,8 +14,12 @@ use crate::spec::problem::Problem;
 use crate::spec::source::Span;
 
 /// Builds the graph; `None` where that cannot be done, which was reported.
-pub(super) fn graph(world: &World<'_>, stages: Vec<Expanded<'_>>, filler: &mut Filler<'_>) -> Option<Graph> {
-    let wires = connect(world, &stages, filler);
+pub(super) fn graph(
+    context: &ResolveContext<'_>,
+    stages: Vec<Expanded<'_>>,
+    filler: &mut Filler<'_>,
+) -> Option<Graph> {
+    let wires = connect(context, &stages, filler);
     report_cycles(&stages, &wires, filler);
     report_shared_files(&stages, filler);
     if !filler.problems.is_empty() {
@@ -28,7 +33,7 @@ pub(super) fn graph(world: &World<'_>, stages: Vec<Expanded<'_>>, filler: &mut F
         }
     }
     add_edges(&mut graph);
-    let globals = world.globals;
+    let globals = context.globals;
     Some(Graph {
         pipeline: globals.pipeline.to_string(),
         profile: globals.profile.to_string(),
@@ -37,8 +42,8 @@ pub(super) fn graph(world: &World<'_>, stages: Vec<Expanded<'_>>, filler: &mut F
 }
 
 /// The wires of every instance, by its number in the graph.
-fn connect(world: &World<'_>, stages: &[Expanded<'_>], filler: &mut Filler<'_>) -> Vec<Wires> {
-    let mut wirer = Wirer::new(world, stages, filler);
+fn connect(context: &ResolveContext<'_>, stages: &[Expanded<'_>], filler: &mut Filler<'_>) -> Vec<Wires> {
+    let mut wirer = Wirer::new(context, stages, filler);
     let mut wires = Vec::new();
     for stage in stages {
         let before = wirer.filler.problems.reports();

@@ -2,28 +2,22 @@
 //! defaults, stage, profile and `--set`, and checked by its kind.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
-use std::sync::Arc;
 
-use dril_stage_api::{Kind, Look, Needs, Outside, Ports, Registry, Seed};
+use dril_stage_api::{Kind, Look, Needs, Outside, Ports, Seed};
 use serde_json::Value as Json;
 
-use super::Choices;
-use super::axes::{Axes, Axis, AxisValue};
-use super::choices::Layers;
+use super::axes::{Axis, AxisValue};
+use super::context::{MAX_INSTANCES, ResolveContext};
 use super::globals;
 use super::grid::{self, Grid};
 use super::items::beside;
 use super::params;
-use super::scope::{Filler, Globals, Scope};
-use crate::spec::Spec;
+use super::scope::{Filler, Scope};
 use crate::spec::model::{Defaults, Stage};
 use crate::spec::node::{Key, Node, Value};
 use crate::spec::problem::Problem;
 use crate::spec::source::Span;
 use crate::spec::suggest;
-
-/// More stage instances than this are refused: a slip in a matrix, not a plan.
-pub(super) const MAX_INSTANCES: usize = 100_000;
 
 /// A stage with its instances.
 pub(super) struct Expanded<'a> {
@@ -81,40 +75,19 @@ impl Expanded<'_> {
     }
 }
 
-/// What every expansion looks at.
-pub(super) struct World<'a> {
-    pub spec: &'a Spec,
-    pub layers: &'a Layers<'a>,
-    pub registry: &'a Registry,
-    pub globals: &'a Globals,
-    pub axes: &'a Axes,
-    pub axis_places: &'a HashMap<Arc<str>, Span>,
-    /// The pipeline's seed; `None` where it is broken, which was reported.
-    pub seed: Option<u64>,
-    /// What the command line chose, with the environment of the run.
-    pub choices: &'a Choices,
-}
-
-impl<'a> World<'a> {
-    /// The names at an instance of a stage.
-    pub fn scope(&self, axes: Vec<(&'a str, &'a AxisValue)>, place: &'a str) -> Scope<'a> {
-        Scope { globals: self.globals, axes, all_axes: self.axis_places, place }
-    }
-}
-
 /// Expands all stages, in the order of the file.
-pub(super) fn expand<'a>(world: &World<'a>, filler: &mut Filler<'_>) -> Vec<Expanded<'a>> {
-    let defaults = world.layers.defaults();
-    unknown_kinds(world, &defaults, filler);
+pub(super) fn expand<'a>(context: &ResolveContext<'a>, filler: &mut Filler<'_>) -> Vec<Expanded<'a>> {
+    let defaults = context.layers.defaults();
+    unknown_kinds(context, &defaults, filler);
     let mut total = 0;
-    let mut all = Vec::with_capacity(world.spec.stages.len());
-    for stage in &world.spec.stages {
+    let mut all = Vec::with_capacity(context.spec.stages.len());
+    for stage in &context.spec.stages {
         let shared = stage.kind.as_ref().and_then(|kind| defaults.get(&*kind.text));
         let shared = shared.map_or(&[] as &[&Defaults], Vec::as_slice);
         let mut expanded = Expanded {
             stage,
-            kind: kind(stage, world, filler),
-            grid: grid::grid(stage, world, filler),
+            kind: kind(stage, context, filler),
+            grid: grid::grid(stage, context, filler),
             first: total,
             instances: Vec::new(),
             inputs: wiring(stage, shared),
@@ -129,32 +102,36 @@ pub(super) fn expand<'a>(world: &World<'a>, filler: &mut Filler<'_>) -> Vec<Expa
             });
             break;
         }
-        expanded.instances = instances(&expanded, shared, count, world, filler);
+        expanded.instances = instances(&expanded, shared, count, context, filler);
         all.push(expanded);
     }
     all
 }
 
-fn unknown_kinds(world: &World<'_>, defaults: &HashMap<&str, Vec<&Defaults>>, filler: &mut Filler<'_>) {
+fn unknown_kinds(
+    context: &ResolveContext<'_>,
+    defaults: &HashMap<&str, Vec<&Defaults>>,
+    filler: &mut Filler<'_>,
+) {
     let keys = defaults.values().flatten().map(|defaults| &defaults.kind);
-    for key in keys.filter(|key| world.registry.get(&key.text).is_none()) {
-        filler.problems.add(|| unknown_kind(key, "defaults for the unknown kind", world));
+    for key in keys.filter(|key| context.registry.get(&key.text).is_none()) {
+        filler.problems.add(|| unknown_kind(key, "defaults for the unknown kind", context));
     }
 }
 
-fn unknown_kind(key: &Key, what: &str, world: &World<'_>) -> Problem {
+fn unknown_kind(key: &Key, what: &str, context: &ResolveContext<'_>) -> Problem {
     let name = crate::spec::node::shorten(&key.text);
     Problem::new(key.span, format!("{what} `{name}`"))
-        .hint(suggest::hint(&key.text, "the kinds", world.registry.iter().map(Kind::name)))
+        .hint(suggest::hint(&key.text, "the kinds", context.registry.iter().map(Kind::name)))
         .hint("`dril-pipe kinds` describes them")
 }
 
-fn kind(stage: &Stage, world: &World<'_>, filler: &mut Filler<'_>) -> Option<Kind> {
+fn kind(stage: &Stage, context: &ResolveContext<'_>, filler: &mut Filler<'_>) -> Option<Kind> {
     let key = stage.kind.as_ref()?;
-    let kind = world.registry.get(&key.text).copied();
+    let kind = context.registry.get(&key.text).copied();
     if kind.is_none() {
         let what = format!("stage `{}` has the unknown kind", stage.name.text);
-        filler.problems.add(|| unknown_kind(key, &what, world));
+        filler.problems.add(|| unknown_kind(key, &what, context));
     }
     kind
 }
@@ -175,11 +152,11 @@ fn instances<'a>(
     expanded: &Expanded<'a>,
     defaults: &[&'a Defaults],
     count: usize,
-    world: &World<'a>,
+    context: &ResolveContext<'a>,
     filler: &mut Filler<'_>,
 ) -> Vec<Option<Instance>> {
     let stage = expanded.stage;
-    let over = world.layers.stage(&stage.name.text);
+    let over = context.layers.stage(&stage.name.text);
     let own = defaults.iter().filter_map(|defaults| defaults.with.as_ref()).chain(&stage.with);
     let layers: Vec<&Node> = own.chain(over).collect();
     let place = format!("stage `{}`", stage.name.text);
@@ -189,12 +166,12 @@ fn instances<'a>(
             return None;
         }
         let scope = Scope {
-            globals: world.globals,
+            globals: context.globals,
             axes: expanded.coordinates(instance),
-            all_axes: world.axis_places,
+            all_axes: context.axis_places,
             place: &place,
         };
-        instance_of(expanded, &layers, &scope, world, filler)
+        instance_of(expanded, &layers, &scope, context, filler)
     };
     (0..count).map(build).collect()
 }
@@ -212,10 +189,10 @@ fn instance_of(
     expanded: &Expanded<'_>,
     layers: &[&Node],
     scope: &Scope<'_>,
-    world: &World<'_>,
+    context: &ResolveContext<'_>,
     filler: &mut Filler<'_>,
 ) -> Option<Instance> {
-    let (pipeline_seed, environment) = (world.seed, &world.choices.environment);
+    let (pipeline_seed, environment) = (context.seed, &context.choices.environment);
     let stage = expanded.stage;
     let with = with(layers, scope, filler);
     let own_seed = stage.seed.as_ref().map(|node| globals::seed(node, scope, filler));
@@ -228,7 +205,7 @@ fn instance_of(
         checked = kind.look(&look.params);
     }
     if let Ok(look) = &checked
-        && let Some(name) = not_text(&kind, &look.params, &world.choices.not_text)
+        && let Some(name) = not_text(&kind, &look.params, &context.choices.not_text)
     {
         filler.problems.add(|| value_is_no_text(&stage.name.text, name, whole));
         return None;

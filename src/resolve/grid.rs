@@ -5,7 +5,7 @@
 use std::collections::{BTreeSet, HashMap};
 
 use super::axes::{Axis, AxisValue};
-use super::expand::{MAX_INSTANCES, World};
+use super::context::{MAX_INSTANCES, ResolveContext};
 use super::matrix;
 use super::scope::{Filler, Scope};
 use super::template::{self, Path};
@@ -122,8 +122,12 @@ fn product(parts: impl Iterator<Item = Vec<Vec<u32>>>) -> Vec<Vec<u32>> {
 }
 
 /// The instances of a stage; `None` where its matrix is broken, which was reported.
-pub(super) fn grid<'a>(stage: &'a Stage, world: &World<'a>, filler: &mut Filler<'_>) -> Option<Grid> {
-    let matrix = matrix::axes(stage, world, filler)?;
+pub(super) fn grid<'a>(
+    stage: &'a Stage,
+    context: &ResolveContext<'a>,
+    filler: &mut Filler<'_>,
+) -> Option<Grid> {
+    let matrix = matrix::axes(stage, context, filler)?;
     let rules = &stage.rules;
     let zipped = matrix.groups.iter().any(|group| group.len() > 1);
     if !zipped && rules.include.is_none() && rules.exclude.is_none() && rules.when.is_none() {
@@ -152,10 +156,10 @@ pub(super) fn grid<'a>(stage: &'a Stage, world: &World<'a>, filler: &mut Filler<
     let mut cells: Vec<Cell> = product(parts).into_iter().map(Vec::into_boxed_slice).collect();
     // Axes of one group stand beside each other in a cell; the axes themselves do too.
     if let Some(node) = &rules.exclude {
-        exclude(node, stage, &axes, &mut cells, world, filler)?;
+        exclude(node, stage, &axes, &mut cells, context, filler)?;
     }
     if let Some(node) = &rules.include {
-        include(node, stage, &mut axes, &mut cells, world, filler)?;
+        include(node, stage, &mut axes, &mut cells, context, filler)?;
     }
     if cells.is_empty() {
         filler.problems.add(|| {
@@ -168,7 +172,7 @@ pub(super) fn grid<'a>(stage: &'a Stage, world: &World<'a>, filler: &mut Filler<
     }
     let grid = Grid::listed(axes, cells);
     match &rules.when {
-        Some(node) => when(node, stage, grid, world, filler),
+        Some(node) => when(node, stage, grid, context, filler),
         None => Some(grid),
     }
 }
@@ -219,10 +223,10 @@ fn exclude(
     stage: &Stage,
     axes: &[Axis],
     cells: &mut Vec<Cell>,
-    world: &World<'_>,
+    context: &ResolveContext<'_>,
     filler: &mut Filler<'_>,
 ) -> Option<()> {
-    let node = filler.fill(node, &world.scope(Vec::new(), "`exclude`"))?;
+    let node = filler.fill(node, &context.scope(Vec::new(), "`exclude`"))?;
     let mut fine = true;
     for entries in maps(&node, "exclude", filler)? {
         let mut rule: Vec<(usize, BTreeSet<u32>)> = Vec::new();
@@ -269,10 +273,10 @@ fn include(
     stage: &Stage,
     axes: &mut [Axis],
     cells: &mut Vec<Cell>,
-    world: &World<'_>,
+    context: &ResolveContext<'_>,
     filler: &mut Filler<'_>,
 ) -> Option<()> {
-    let node = filler.fill(node, &world.scope(Vec::new(), "`include`"))?;
+    let node = filler.fill(node, &context.scope(Vec::new(), "`include`"))?;
     let mut fine = true;
     for entries in maps(&node, "include", filler)? {
         let mut cell: Vec<Option<u32>> = vec![None; axes.len()];
@@ -338,15 +342,21 @@ fn added(axis: &mut Axis, value: &Node, filler: &mut Filler<'_>) -> Option<usize
 }
 
 /// The instances for which one of the maps holds; there may be none.
-fn when(node: &Node, stage: &Stage, grid: Grid, world: &World<'_>, filler: &mut Filler<'_>) -> Option<Grid> {
+fn when(
+    node: &Node,
+    stage: &Stage,
+    grid: Grid,
+    context: &ResolveContext<'_>,
+    filler: &mut Filler<'_>,
+) -> Option<Grid> {
     let place = format!("stage `{}`", stage.name.text);
     let maps = maps(node, "when", filler)?;
     let mut kept = Vec::new();
     for number in 0..grid.len() {
         let scope = Scope {
-            globals: world.globals,
+            globals: context.globals,
             axes: grid.coordinates(number),
-            all_axes: world.axis_places,
+            all_axes: context.axis_places,
             place: &place,
         };
         let mut holds = false;

@@ -1,7 +1,7 @@
 //! The axes of a stage's matrix, with their values, and which of them go together.
 
 use super::axes::Axis;
-use super::expand::World;
+use super::context::ResolveContext;
 use super::globals;
 use super::scope::Filler;
 use crate::spec::model::{MatrixAxis, Stage};
@@ -17,11 +17,11 @@ pub(super) struct Matrix {
 }
 
 /// The axes of a stage; `None` where one of them is broken, which was reported.
-pub(super) fn axes(stage: &Stage, world: &World<'_>, filler: &mut Filler<'_>) -> Option<Matrix> {
-    let swept = world.layers.sweeps(&stage.name.text);
+pub(super) fn axes(stage: &Stage, context: &ResolveContext<'_>, filler: &mut Filler<'_>) -> Option<Matrix> {
+    let swept = context.layers.sweeps(&stage.name.text);
     let written: Vec<&MatrixAxis> = stage.matrix.iter().chain(swept).collect();
     let found: Vec<Option<Axis>> =
-        written.iter().map(|axis| matrix_axis(axis, stage, world, filler)).collect();
+        written.iter().map(|axis| matrix_axis(axis, stage, context, filler)).collect();
     let axes: Vec<Axis> = found.into_iter().collect::<Option<_>>()?;
     let mut groups: Vec<Vec<usize>> = Vec::new();
     for (number, axis) in written.iter().enumerate() {
@@ -55,15 +55,20 @@ pub(super) fn axes(stage: &Stage, world: &World<'_>, filler: &mut Filler<'_>) ->
     fine.then_some(Matrix { axes, groups })
 }
 
-fn matrix_axis(axis: &MatrixAxis, stage: &Stage, world: &World<'_>, filler: &mut Filler<'_>) -> Option<Axis> {
-    let shared = world.axes.0.get(&axis.name.text);
+fn matrix_axis(
+    axis: &MatrixAxis,
+    stage: &Stage,
+    context: &ResolveContext<'_>,
+    filler: &mut Filler<'_>,
+) -> Option<Axis> {
+    let shared = context.axes.0.get(&axis.name.text);
     match (&axis.values, shared) {
         (Some(values), shared) => {
             let below = match shared {
                 Some(shared) => Some(shared.clone()?),
                 None => None,
             };
-            let scope = world.scope(Vec::new(), "the values of an axis");
+            let scope = context.scope(Vec::new(), "the values of an axis");
             globals::axis(&axis.name, below, &[values], &scope, filler)
         }
         (None, Some(shared)) => shared.clone(),
@@ -74,7 +79,7 @@ fn matrix_axis(axis: &MatrixAxis, stage: &Stage, world: &World<'_>, filler: &mut
                     axis.name.span,
                     format!("the matrix of stage `{}` names the unknown axis `{name}`", stage.name.text),
                 )
-                .hint(suggest::hint(&axis.name.text, "the axes", world.axes.names()))
+                .hint(suggest::hint(&axis.name.text, "the axes", context.axes.names()))
                 .hint(format!("values of this stage only are written as `matrix: {{ {name}: [1, 2] }}`"))
             });
             None

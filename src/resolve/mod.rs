@@ -9,6 +9,7 @@
 mod axes;
 mod build;
 mod choices;
+mod context;
 mod cycles;
 mod expand;
 mod globals;
@@ -38,7 +39,7 @@ use dril_stage_api::Registry;
 use crate::spec::source::{Sources, Span};
 use crate::spec::{Diagnostics, Spec};
 use choices::{Layers, Spread};
-use expand::World;
+use context::ResolveContext;
 use scope::{Filler, Scope};
 
 /// What the user chose on the command line.
@@ -97,7 +98,7 @@ fn resolve_layers(
         Some(node) => globals::seed(node, &scope("the pipeline"), filler),
         None => Some(0),
     };
-    let world = World {
+    let context = ResolveContext {
         spec,
         layers,
         registry,
@@ -107,6 +108,6 @@ fn resolve_layers(
         seed,
         choices,
     };
-    let stages = expand::expand(&world, filler);
-    build::graph(&world, stages, filler)
+    let stages = expand::expand(&context, filler);
+    build::graph(&context, stages, filler)
 }

@@ -32,7 +32,7 @@ pub struct Selected {
     /// Stages of `graph` that are to run although they are cached.
     pub forced: BTreeSet<StageIndex>,
     /// Stages of `graph` that must be cached, since only others were asked for.
-    pub settled: BTreeSet<StageIndex>,
+    pub must_be_cached: BTreeSet<StageIndex>,
 }
 
 impl Selected {
@@ -91,7 +91,7 @@ impl Selection {
             marked.filter_map(|stage| places[stage]).collect::<BTreeSet<_>>()
         };
         let forced = set(&|stage| forced[stage]);
-        let settled = set(&|stage| self.only && !goals[stage]);
+        let must_be_cached = set(&|stage| self.only && !goals[stage]);
         if forced.is_empty() && !self.force.is_empty() {
             return Err(NoStage {
                 message: "the stages after `--force` are none of those that were asked for".to_owned(),
@@ -99,8 +99,8 @@ impl Selection {
             });
         }
         Ok(match part {
-            Some(part) => Selected { graph: part, whole: Some((graph, places)), forced, settled },
-            None => Selected { graph, whole: None, forced, settled },
+            Some(part) => Selected { graph: part, whole: Some((graph, places)), forced, must_be_cached },
+            None => Selected { graph, whole: None, forced, must_be_cached },
         })
     }
 }

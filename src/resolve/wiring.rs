@@ -5,7 +5,8 @@ use std::sync::Arc;
 
 use dril_stage_api::{Arity, Artifact, Input, Labels, Outside};
 
-use super::expand::{Expanded, Instance, World};
+use super::context::ResolveContext;
+use super::expand::{Expanded, Instance};
 use super::graph::{From, Source, StageIndex, Wire};
 use super::items::{Item, Unpacker, What};
 use super::reference::{self, Reference};
@@ -25,7 +26,7 @@ pub(super) type Wires = Vec<(Wire, Span)>;
 
 /// Connects instances.
 pub(super) struct Wirer<'a, 'p, 'f> {
-    world: &'a World<'a>,
+    context: &'a ResolveContext<'a>,
     stages: &'a [Expanded<'a>],
     by_name: HashMap<&'a str, usize>,
     /// Where problems go.
@@ -48,9 +49,13 @@ struct Connection<'c> {
 
 impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
     /// For these stages.
-    pub fn new(world: &'a World<'a>, stages: &'a [Expanded<'a>], filler: &'f mut Filler<'p>) -> Self {
+    pub fn new(
+        context: &'a ResolveContext<'a>,
+        stages: &'a [Expanded<'a>],
+        filler: &'f mut Filler<'p>,
+    ) -> Self {
         let by_name = stages.iter().enumerate().map(|(at, stage)| (stage.name(), at)).collect();
-        Self { world, stages, by_name, filler, sources: 0 }
+        Self { context, stages, by_name, filler, sources: 0 }
     }
 
     /// The wires of an instance, in the order of its ports.
@@ -58,9 +63,9 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
         let coordinates = stage.coordinates(number);
         let place = format!("stage `{}`", stage.name());
         let scope = Scope {
-            globals: self.world.globals,
+            globals: self.context.globals,
             axes: coordinates.clone(),
-            all_axes: self.world.axis_places,
+            all_axes: self.context.axis_places,
             place: &place,
         };
         if let Some((outside, at)) = &instance.outside {
@@ -112,7 +117,7 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
         let from = From::File {
             path: outside.path.clone(),
             place: self.filler.sources.get(at).place(at),
-            folder: input.artifact == Artifact::Folder,
+            folder: input.artifact == Artifact::FOLDER,
             blake3: outside.blake3.clone(),
             exclude: outside.exclude.clone(),
             key: std::iter::once(&outside.path)
@@ -299,7 +304,7 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
     ) -> Result<(), Vec<Problem>> {
         let consumer = &connection.consumer;
         let open = producer.axes().iter().filter(|axis| {
-            self.world.layers.is_sweep(&axis.name)
+            self.context.layers.is_sweep(&axis.name)
                 && consumer.input.arity != Arity::Many
                 && chosen.iter().all(|selector| selector.axis.text != &*axis.name)
                 && consumer.coordinates.iter().all(|(name, _)| *name != &*axis.name)

@@ -7,15 +7,15 @@ use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use super::SourceName;
+use super::fields::{Fields, entries, identifier, placed, value_name};
 use super::layer::{self, Known};
 use super::limits;
 use super::matrix;
-use super::model::{Defaults, Entries, Layer, Profile, Spec, Stage};
+use super::model::{Entries, Layer, Profile, Spec, Stage};
 use super::names;
-use super::node::{Key, Node, UNUSABLE, Value};
+use super::node::{Key, Node, Value};
 use super::problem::{Problem, Problems};
 use super::source::{Source, Span};
-use super::suggest;
 
 pub(super) const TOP: [&str; 8] =
     ["name", "include", "seed", "params", "axes", "defaults", "stages", "profiles"];
@@ -126,59 +126,6 @@ fn included(key: Key, node: Node, problems: &mut Problems) -> Vec<Key> {
     paths
 }
 
-/// The fields of a map, taken out one by one.
-pub(super) struct Fields(Vec<(Key, Node)>);
-
-impl Fields {
-    /// The fields of `node`, which is `what`; unknown ones are reported.
-    pub fn read(node: Node, known: &[&str], what: &str, problems: &mut Problems) -> Self {
-        let mut fields: Vec<(Key, Node)> = Vec::new();
-        for (mut key, value) in entries(node, what, problems) {
-            if !known.contains(&&*key.text) {
-                problems.add(|| {
-                    Problem::new(
-                        key.span,
-                        format!("{what} has the unknown key `{}`", super::node::shorten(&key.text)),
-                    )
-                    .hint(suggest::hint(&key.text, "its keys", known.iter().copied()))
-                });
-                let meant = suggest::nearest(&key.text, known.iter().copied());
-                let Some(meant) = meant.filter(|meant| fields.iter().all(|(key, _)| &*key.text != *meant))
-                else {
-                    continue;
-                };
-                key.text = meant.into();
-            }
-            fields.push((key, value));
-        }
-        Self(fields)
-    }
-
-    /// Removes and gives a field.
-    pub fn take(&mut self, name: &str) -> Option<(Key, Node)> {
-        let at = self.0.iter().position(|(key, _)| &*key.text == name)?;
-        Some(self.0.remove(at))
-    }
-}
-
-/// The entries of a map; of nothing, none; anything else is reported.
-pub(super) fn entries(node: Node, what: &str, problems: &mut Problems) -> Vec<(Key, Node)> {
-    match node.value {
-        Value::Map(mut entries) => {
-            entries.retain(|(key, _)| &*key.text != UNUSABLE);
-            entries
-        }
-        Value::Null | Value::Broken => Vec::new(),
-        _ => {
-            problems.add(|| {
-                Problem::new(node.span, format!("{what} is {}, expected a map", node.describe()))
-                    .hint("a map is written as `{ name: value }`, or with one `name: value` a line")
-            });
-            Vec::new()
-        }
-    }
-}
-
 fn pipeline_name(field: Option<(Key, Node)>, at: Span, problems: &mut Problems) -> String {
     let expected = "expected a name of lower case words, as in `name: lunar-lander`";
     let Some((key, node)) = field else {
@@ -204,35 +151,6 @@ fn named(field: Option<(Key, Node)>, what: &str, problems: &mut Problems) -> Vec
     let Some((key, node)) = field else { return Vec::new() };
     let entries = entries(node, &format!("`{}`", key.text), problems);
     entries.into_iter().filter(|(key, _)| value_name(key, what, problems)).collect()
-}
-
-/// True where the key may name a param or an axis.
-pub(super) fn value_name(key: &Key, what: &str, problems: &mut Problems) -> bool {
-    if names::RESERVED_VALUES.contains(&&*key.text) {
-        problems.add(|| {
-            Problem::new(
-                key.span,
-                format!("the name `{}` is taken, expected another for this {what}", key.text),
-            )
-            .hint("`$profile` and `$pipeline` are there in every pipeline, and `name` labels a named fan-in")
-        });
-        return false;
-    }
-    identifier(key, what, problems)
-}
-
-fn identifier(key: &Key, what: &str, problems: &mut Problems) -> bool {
-    let fine = names::is_identifier(&key.text);
-    if !fine {
-        problems.add(|| {
-            let name = super::node::shorten(&key.text);
-            Problem::new(
-                key.span,
-                format!("`{name}` cannot name a {what}, expected a letter, then letters, digits, `-` or `_`"),
-            )
-        });
-    }
-    fine
 }
 
 fn stages(field: Option<(Key, Node)>, at: Span, problems: &mut Problems) -> Vec<Stage> {
@@ -304,14 +222,6 @@ fn stage(name: Key, node: Node, problems: &mut Problems) -> Option<Stage> {
     Some(Stage { name, kind, matrix, rules, seed, with, inputs, limits, resources })
 }
 
-/// The node; where nothing is written, it stands where its key does.
-pub(super) fn placed(key: Key, mut node: Node) -> Node {
-    if node.span.is_empty() {
-        node.span = key.span;
-    }
-    node
-}
-
 fn stage_kind(name: &Key, field: Option<(Key, Node)>, problems: &mut Problems) -> Option<Key> {
     let Some((key, node)) = field else {
         problems.add(|| {
@@ -374,14 +284,4 @@ fn clashes(base: &Layer, stages: &[Stage], problems: &mut Problems) {
             });
         }
     }
-}
-
-/// Not used for the file's own defaults only: also what a profile or `--set` says of a kind.
-pub(super) fn kind_defaults(kind: Key, node: Node, problems: &mut Problems) -> Defaults {
-    let what = format!("the defaults of kind `{}`", kind.text);
-    let mut fields = Fields::read(node, &["with", "inputs"], &what, problems);
-    let with = fields.take("with").map(|(key, node)| placed(key, node));
-    let inputs =
-        fields.take("inputs").map(|(_, node)| entries(node, "`inputs`", problems)).unwrap_or_default();
-    Defaults { kind, with, inputs }
 }

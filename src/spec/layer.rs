@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use super::decode::{entries, kind_defaults};
+use super::fields::{entries, kind_defaults};
 use super::model::{Defaults, Entries, Layer, Stage};
 use super::node::{Key, Node, shorten};
 use super::problem::{Problem, Problems};

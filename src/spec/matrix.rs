@@ -1,7 +1,7 @@
 //! The matrix of a stage as written: `[expert, seed]`, `{ k: [1, 2] }`, or a list that mixes names and such maps. Among
 //! the names of a map, `zip`, `include` and `exclude` are words of the language.
 
-use super::decode::{placed, value_name};
+use super::fields::{placed, value_name};
 use super::model::{MatrixAxis, Rules};
 use super::node::{Key, Node, Value};
 use super::problem::{Problem, Problems};

@@ -9,6 +9,7 @@
 
 mod decode;
 mod diagnostic;
+mod fields;
 pub(crate) mod include;
 pub(crate) mod layer;
 pub(crate) mod limits;

@@ -3,6 +3,7 @@
 
 mod blob;
 mod bundle;
+mod complete;
 mod copies;
 mod digest;
 mod folder;
@@ -12,7 +13,6 @@ mod parsed;
 mod past;
 mod record;
 mod run;
-mod settled;
 mod stats;
 mod sweep;
 mod usage;
@@ -22,6 +22,7 @@ use std::path::{Path, PathBuf};
 
 pub use blob::{Blob, hash_file};
 pub use bundle::{Imported, Refusal};
+pub use complete::CompleteRun;
 pub use copies::PrivateCopy;
 pub use digest::{Digest, Key, NotHex};
 pub use folder::{Folder, FolderEntry, FolderFile, Part, hash_folder};
@@ -30,7 +31,6 @@ pub use in_use::InUse;
 pub use past::{Fate, PastRun, RunEnd, StageOfRun};
 pub use record::{Fingerprint, Outputs, RECORD_VERSION, Record, RecordInput, RecordItem, Stored};
 pub use run::Run;
-pub use settled::Settled;
 pub use stats::Stats;
 pub(crate) use stats::now;
 pub use sweep::{Sweep, Swept};

@@ -20,7 +20,7 @@ fn help_of_the_program_and_of_every_command() {
         "explain --help",
         "graph --help",
         "kinds --help",
-        "replay --help",
+        "peek --help",
     ];
     assert_snapshot!(pages.map(|args| shown(&sealed, args)).join("\n"));
 }

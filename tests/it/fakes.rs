@@ -11,9 +11,16 @@ use std::io::Write;
 use std::path::Path;
 use std::time::Duration;
 
-use dril_stage_api::{Artifact, Ctx, Describe, Kind, Needs, Ports, Problems, Registry, Stage, StageError};
+use dril_stage_api::{
+    Artifact, Ctx, Describe, Kind, Needs, Ports, Problems, Registry, Stage, StageError, Tool, ToolOption,
+    ToolValue,
+};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+/// Artifact types, as a stage package would define them.
+const POLICY: Artifact = Artifact::new("policy", "safetensors");
+const DEMONSTRATIONS: Artifact = Artifact::new("demonstrations", "bin");
 
 /// The fakes.
 pub const KINDS: [Kind; 4] = [
@@ -23,8 +30,29 @@ pub const KINDS: [Kind; 4] = [
     Kind::run_by::<Elsewhere>("dril-pipe-nowhere"),
 ];
 
+/// A tool that prints its request.
+pub const PEEK: Tool = Tool {
+    name: "peek",
+    about: "Print what a tool is asked for",
+    examples: &["dril-pipe peek p.yaml:count --out peek.txt"],
+    artifact: POLICY,
+    value_name: "POLICY",
+    artifact_about: "A file, or a finished stage of a pipeline",
+    artifact_example: "p.yaml:count",
+    options: &[
+        ToolOption::new("seed", ToolValue::Count, "7", "A number"),
+        ToolOption::required("out", ToolValue::NewFile(&["txt"], "`.txt` is text"), "The file to write"),
+        ToolOption::from_stage("text", ToolValue::Yaml("{ a: 1 }"), "A parameter of the stage"),
+        ToolOption::new("mode", ToolValue::Choice(&["fast", "slow"]), "slow", "A word"),
+        ToolOption::new("speed", ToolValue::Number, "0.5", "Another number"),
+    ],
+    worker: "fakes",
+    service: "__peek",
+};
+
 /// The registry of the fakes.
 pub fn registry() -> Registry {
+    dril_stage_api::artifact::register(&[POLICY, DEMONSTRATIONS]).unwrap();
     Registry::new([&KINDS[..], &dril_pipe::kinds::KINDS].concat()).unwrap()
 }
 
@@ -69,9 +97,9 @@ impl Describe for Emit {
     }
 
     fn ports(_: &EmitParams) -> Ports {
-        Ports::new().optional("after", Artifact::File, "is ignored").output(
+        Ports::new().optional("after", Artifact::FILE, "is ignored").output(
             "text",
-            Artifact::Demonstrations,
+            DEMONSTRATIONS,
             "txt",
             "the text",
         )
@@ -127,9 +155,9 @@ impl Describe for Concat {
     type Params = ConcatParams;
 
     fn ports(_: &ConcatParams) -> Ports {
-        Ports::new().many("parts", Artifact::File, "the texts to join").output(
+        Ports::new().many("parts", Artifact::FILE, "the texts to join").output(
             "joined",
-            Artifact::Table,
+            Artifact::TABLE,
             "md",
             "the joined text",
         )
@@ -247,9 +275,9 @@ impl Describe for Count {
 
     fn ports(_: &CountParams) -> Ports {
         Ports::new()
-            .optional("start", Artifact::Demonstrations, "a text that the count begins with")
-            .output("count", Artifact::Policy, "txt", "the numbers")
-            .output("log", Artifact::TrainingLog, "csv", "step and number")
+            .optional("start", DEMONSTRATIONS, "a text that the count begins with")
+            .output("count", POLICY, "txt", "the numbers")
+            .output("log", Artifact::TRAINING_LOG, "csv", "step and number")
     }
 
     fn needs(params: &CountParams) -> Needs {

@@ -25,7 +25,14 @@ fn main() -> ExitCode {
         _ if std::env::var_os("DRIL_FAKES_KINDS").is_some_and(|kinds| kinds == "samples") => {
             dril_pipe::cli::run(samples::registry(), arguments)
         }
-        _ => dril_pipe::cli::run(fakes::registry(), arguments),
+        Some("__peek") => {
+            println!("{}", arguments[2].to_string_lossy());
+            ExitCode::SUCCESS
+        }
+        _ => {
+            let extensions = dril_pipe::cli::Extensions { commands: &[], tools: &[fakes::PEEK] };
+            dril_pipe::cli::run_with(fakes::registry(), extensions, arguments)
+        }
     }
 }
 

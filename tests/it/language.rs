@@ -142,7 +142,7 @@ fn only_refuses_what_is_not_cached_and_force_runs_what_is() {
     let sealed = Sealed::with(CHAIN);
     let ended = sealed.run("run p.yaml d --only");
     assert_eq!(ended.code, 2);
-    assert!(ended.stderr.contains("`--only` leaves out `a[k=1]` and 1 more"), "{}", ended.stderr);
+    assert!(ended.stderr.contains("`--only` excludes `a[k=1]` and 1 more"), "{}", ended.stderr);
     sealed.run_ok("run p.yaml");
     let planned = sealed.run_ok("plan p.yaml --force a[k=2]");
     assert!(planned.contains("asked for by `--force`") && planned.contains("1 stage to run"), "{planned}");

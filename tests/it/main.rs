@@ -11,6 +11,7 @@
 mod bad;
 mod cache;
 mod care;
+mod circles;
 mod cli;
 mod cli_texts;
 mod command;
@@ -41,6 +42,7 @@ mod survivors;
 #[cfg(feature = "stages")]
 mod thesis;
 mod tidy;
+mod tools;
 mod unchanged;
 mod untrusted;
 mod watch;

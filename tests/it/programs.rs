@@ -208,9 +208,9 @@ fn a_result_whose_name_is_too_long_for_a_file_is_announced_and_written_under_a_s
         "name: p\naxes: {{ a: [{value}, {value}x] }}\nstages:\n  s: {{ kind: command, matrix: [a], with: {{ run: [sh, -c, 'echo \"$$1\" > \"$$0\"', \"{{outputs.t}}\", $a], outputs: {{ t: {{ type: table, path: t.csv }} }} }} }}\n"
     ));
     let planned = run(&sealed, &["plan", "p.yaml"]);
-    assert!(planned.stdout.contains("has a name too long for a file and goes to `s-値"), "{planned:?}");
+    assert!(planned.stdout.contains("is too long for a file; it is written to `s-値"), "{planned:?}");
     let said = ok(&sealed);
-    assert!(said.contains("note: the result of `s[a="), "{said}");
+    assert!(said.contains("note: the name of the result of `s[a="), "{said}");
     let names: Vec<String> =
         sealed.list("results/p-default").into_iter().filter(|name| name.ends_with(".csv")).collect();
     assert_eq!(names.len(), 2, "{names:?}");

@@ -6,6 +6,10 @@ use dril_stage_api::{Artifact, Ctx, Describe, Kind, Ports, Problems, Registry, S
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+/// Artifact types, as a stage package would define them.
+const POLICY: Artifact = Artifact::new("policy", "safetensors");
+const DEMONSTRATIONS: Artifact = Artifact::new("demonstrations", "bin");
+
 /// The kinds.
 pub const KINDS: [Kind; 5] = [
     Kind::of::<Train>(),
@@ -17,6 +21,7 @@ pub const KINDS: [Kind; 5] = [
 
 /// The registry of the kinds.
 pub fn registry() -> Registry {
+    dril_stage_api::artifact::register(&[POLICY, DEMONSTRATIONS]).unwrap();
     Registry::new([&KINDS[..], &dril_pipe::kinds::KINDS].concat()).unwrap()
 }
 
@@ -104,9 +109,9 @@ impl Describe for Train {
     }
 
     fn ports(_: &TrainParams) -> Ports {
-        Ports::new().output("policy", Artifact::Policy, "safetensors", "the expert").output(
+        Ports::new().output("policy", POLICY, "safetensors", "the expert").output(
             "log",
-            Artifact::TrainingLog,
+            Artifact::TRAINING_LOG,
             "csv",
             "how it went",
         )
@@ -135,9 +140,9 @@ impl Describe for Record {
     }
 
     fn ports(_: &RecordParams) -> Ports {
-        Ports::new().input("policy", Artifact::Policy, "who acts").output(
+        Ports::new().input("policy", POLICY, "who acts").output(
             "demonstrations",
-            Artifact::Demonstrations,
+            DEMONSTRATIONS,
             "zst",
             "what it did",
         )
@@ -165,9 +170,9 @@ impl Describe for Imitate {
 
     fn ports(_: &ImitateParams) -> Ports {
         Ports::new()
-            .input("demonstrations", Artifact::Demonstrations, "whom to imitate")
-            .output("best", Artifact::Policy, "safetensors", "the best weights")
-            .output("last", Artifact::Policy, "safetensors", "the last weights")
+            .input("demonstrations", DEMONSTRATIONS, "whom to imitate")
+            .output("best", POLICY, "safetensors", "the best weights")
+            .output("last", POLICY, "safetensors", "the last weights")
     }
 }
 
@@ -191,9 +196,9 @@ impl Describe for Score {
     type Params = ScoreParams;
 
     fn ports(_: &ScoreParams) -> Ports {
-        Ports::new().input("policy", Artifact::Policy, "who acts").output(
+        Ports::new().input("policy", POLICY, "who acts").output(
             "scores",
-            Artifact::Scores,
+            Artifact::SCORES,
             "csv",
             "one row an episode",
         )
@@ -222,9 +227,9 @@ impl Describe for Tabulate {
 
     fn ports(_: &TabulateParams) -> Ports {
         Ports::new()
-            .many("scores", Artifact::Scores, "the cells")
-            .optional("reference", Artifact::File, "numbers to compare with")
-            .output("table", Artifact::Table, "csv", "the table")
+            .many("scores", Artifact::SCORES, "the cells")
+            .optional("reference", Artifact::FILE, "numbers to compare with")
+            .output("table", Artifact::TABLE, "csv", "the table")
     }
 }
 

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use crate::error::Error;
-use crate::{host, libtorch, process, wheels};
+use crate::{host, process, wheels};
 
 const PARTIAL: &str = ".libtorch.partial-";
 const UNPACK: &str = include_str!("unpack.py");
@@ -51,7 +51,7 @@ fn is_complete(folder: &Path) -> bool {
         Some(directory) => folder.join(directory).join("torch/csrc/api/include/torch/torch.h").is_file(),
         None => folder.join(destination).is_file(),
     };
-    libtorch::is_right_version(&version)
+    wheels::is_right_version(&version)
         && folder.join("lib/libtorch.so").is_file()
         && wheels::WHEELS.iter().flat_map(|wheel| wheel.members).all(is_there)
 }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use crate::error::Error;
-use crate::wheels::VERSION;
+use crate::wheels::{self, VERSION};
 use crate::{install, process};
 
 /// Where the build takes libtorch from.
@@ -59,11 +59,6 @@ fn same(a: &Path, b: &Path) -> bool {
     a == b || real(a).is_some_and(|a| real(b) == Some(a))
 }
 
-/// A version file says `2.13.0` or, with a build tag, `2.13.0+cu130`.
-pub fn is_right_version(text: &str) -> bool {
-    text.trim().split('+').next() == Some(VERSION)
-}
-
 fn check_given(folder: &Path) -> Result<(), Error> {
     let unusable = |problem: String| Error::Libtorch {
         problem: format!("LIBTORCH is `{}`, but {problem}", folder.display()),
@@ -81,7 +76,7 @@ fn check_given(folder: &Path) -> Result<(), Error> {
         }
     }
     match fs::read_to_string(folder.join("build-version")) {
-        Ok(text) if is_right_version(&text) => Ok(()),
+        Ok(text) if wheels::is_right_version(&text) => Ok(()),
         Ok(text) => Err(unusable(format!("its build-version is `{}`, expected `{VERSION}`", text.trim()))),
         Err(_) => {
             Err(unusable(format!("it has no readable file `build-version`, expected `{VERSION}` in it")))
@@ -95,7 +90,7 @@ fn check_python() -> Result<(), Error> {
     let script = "import torch; print(torch.__version__)";
     let version = process::output(Command::new(python).args(["-c", script]));
     match version.as_deref().map(str::trim) {
-        Some(version) if is_right_version(version) => {
+        Some(version) if wheels::is_right_version(version) => {
             println!("libtorch {version}: from `{python}` (LIBTORCH_USE_PYTORCH is set)");
             Ok(())
         }
@@ -146,8 +141,12 @@ mod tests {
 
     #[test]
     fn a_build_tag_does_not_matter_but_the_version_does() {
-        assert!(is_right_version("2.13.0\n") && is_right_version("2.13.0+cu130"));
-        assert!(!is_right_version("2.13.1") && !is_right_version("2.13.00") && !is_right_version(""));
+        assert!(wheels::is_right_version("2.13.0\n") && wheels::is_right_version("2.13.0+cu130"));
+        assert!(
+            !wheels::is_right_version("2.13.1")
+                && !wheels::is_right_version("2.13.00")
+                && !wheels::is_right_version("")
+        );
     }
 
     #[test]

@@ -59,6 +59,11 @@ pub const SELECTION: [&str; 9] = [
     "--platform=manylinux2014_x86_64",
 ];
 
+/// True for the text of a version file with our version: `2.13.0` or, with a build tag, `2.13.0+cu130`.
+pub fn is_right_version(text: &str) -> bool {
+    text.trim().split('+').next() == Some(VERSION)
+}
+
 /// Text of the requirements file, one hash-pinned line a wheel.
 pub fn requirements() -> String {
     let line =

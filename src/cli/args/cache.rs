@@ -1,4 +1,4 @@
-//! Arguments of `cache`: looking after the store.
+//! Arguments of `cache`.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -14,18 +14,18 @@ pub(in crate::cli) struct CacheArgs {
     pub command: CacheCommand,
 }
 
-/// What to do with the store.
+/// The subcommands of `cache`.
 #[derive(Debug, Subcommand)]
 pub(in crate::cli) enum CacheCommand {
-    /// Hash every content and read every record: is the store what it says?
+    /// Hash every blob and check every record
     Verify(VerifyArgs),
-    /// Remove results that are old or too many, and leftovers; never what a running process uses
+    /// Remove unused and old results, and leftovers of crashed runs; never anything that a running process uses
     Gc(GcArgs),
-    /// Show what takes room
+    /// Show disk usage by folder and by stage
     Du(DuArgs),
-    /// Write a run with its results and their provenance into one archive (a Workflow Run RO-Crate)
+    /// Write a run with its results and provenance to an archive (a Workflow Run RO-Crate)
     Export(ExportArgs),
-    /// Refill the store from an archive; takes only what is what it says
+    /// Add the contents of an archive to the cache; every digest and key is checked
     Import(ImportArgs),
 }
 
@@ -33,31 +33,31 @@ pub(in crate::cli) enum CacheCommand {
 pub(in crate::cli) struct VerifyArgs {
     #[command(flatten)]
     pub store: StoreArgs,
-    /// Move what is damaged out of the way, so that it is made again when it is needed
+    /// Move damaged files to quarantine, so that they are rebuilt when needed
     #[arg(long)]
     pub repair: bool,
-    /// Print as JSON
+    /// Print JSON
     #[arg(long)]
     pub json: bool,
 }
 
 #[derive(Debug, Args)]
 pub(in crate::cli) struct GcArgs {
-    /// Keep the results of these pipeline files (all profiles) and lock files
+    /// Keep the results of this pipeline file (all profiles) or lock file; can be repeated
     #[arg(long, value_name = "FILE")]
     pub keep: Vec<PathBuf>,
-    /// Remove the least recently used results until the contents fit, as in `20G`
+    /// Remove the least recently used results until the cache is smaller than this, as in `20G`
     #[arg(long, value_name = "SIZE", value_parser = parse_size)]
     pub max_size: Option<u64>,
-    /// Remove results, checkpoints and logs that nobody used for longer, as in `30d`
+    /// Remove results, checkpoints and logs that have not been used for this long, as in `30d`
     #[arg(long, value_name = "TIME", value_parser = super::time)]
     pub older_than: Option<Duration>,
-    /// Only say what would be removed
+    /// Only show what would be removed
     #[arg(short = 'n', long)]
     pub dry_run: bool,
     #[command(flatten)]
     pub store: StoreArgs,
-    /// Print as JSON
+    /// Print JSON
     #[arg(long)]
     pub json: bool,
 }
@@ -66,14 +66,14 @@ pub(in crate::cli) struct GcArgs {
 pub(in crate::cli) struct DuArgs {
     #[command(flatten)]
     pub store: StoreArgs,
-    /// Print as JSON
+    /// Print JSON
     #[arg(long)]
     pub json: bool,
 }
 
 #[derive(Debug, Args)]
 pub(in crate::cli) struct ExportArgs {
-    /// The run, as `runs` lists it
+    /// The run, as listed by `runs`
     #[arg(value_name = "RUN", default_value = "last")]
     pub run: String,
     /// The archive [default: `<pipeline>-<profile>.crate.zip`]
@@ -81,7 +81,7 @@ pub(in crate::cli) struct ExportArgs {
     pub out: Option<PathBuf>,
     #[command(flatten)]
     pub store: StoreArgs,
-    /// Print as JSON
+    /// Print JSON
     #[arg(long)]
     pub json: bool,
 }
@@ -93,7 +93,7 @@ pub(in crate::cli) struct ImportArgs {
     pub archive: PathBuf,
     #[command(flatten)]
     pub store: StoreArgs,
-    /// Print as JSON
+    /// Print JSON
     #[arg(long)]
     pub json: bool,
 }

@@ -1,10 +1,10 @@
-//! Arguments of the commands that look and change nothing: `explain`, `status`, `log`, `runs`, `diff`, `show`.
+//! Arguments of the read-only commands `explain`, `status`, `log`, `runs`, `diff` and `show`.
 
 use clap::Args;
 
 use super::{PipelineArgs, StoreArgs};
 
-/// Stages of a pipeline and a store to look at.
+/// Stages of a pipeline, and the cache.
 #[derive(Debug, Args)]
 pub(in crate::cli) struct LookArgs {
     #[command(flatten)]
@@ -14,24 +14,24 @@ pub(in crate::cli) struct LookArgs {
     pub stages: Vec<String>,
     #[command(flatten)]
     pub store: StoreArgs,
-    /// Print as JSON
+    /// Print JSON
     #[arg(long)]
     pub json: bool,
 }
 
 #[derive(Debug, Args)]
-#[command(after_help = "Without a STAGE, all that is not up to date is explained.")]
+#[command(after_help = "Without STAGE, every stage that is not up to date is explained.")]
 pub(in crate::cli) struct ExplainArgs {
     #[command(flatten)]
     pub look: LookArgs,
 }
 
 #[derive(Debug, Args)]
-#[command(after_help = "Without a STAGE, all are shown.")]
+#[command(after_help = "Without STAGE, all stages are shown.")]
 pub(in crate::cli) struct StatusArgs {
     #[command(flatten)]
     pub look: LookArgs,
-    /// One line for each stage instance
+    /// Show one line per stage instance
     #[arg(long, conflicts_with = "json")]
     pub all: bool,
 }
@@ -48,7 +48,7 @@ pub(in crate::cli) struct LogArgs {
     /// Stages: `table22`, `'table*'`, `'evaluate[policy=beta]'`
     #[arg(value_name = "STAGE", required = true)]
     pub stages: Vec<String>,
-    /// The run, as `runs` lists it; without it, the latest that started the stage
+    /// The run, as listed by `runs` [default: the latest that started the stage]
     #[arg(short, long, value_name = "RUN")]
     pub run: Option<String>,
     #[command(flatten)]
@@ -59,7 +59,7 @@ pub(in crate::cli) struct LogArgs {
     /// Print the paths of the logs instead
     #[arg(long)]
     pub path: bool,
-    /// Print as JSON
+    /// Print JSON
     #[arg(long, conflicts_with = "path")]
     pub json: bool,
 }
@@ -71,28 +71,28 @@ pub(in crate::cli) struct RunsArgs {
     /// Only runs of this pipeline (the name in its file)
     #[arg(long, value_name = "NAME")]
     pub pipeline: Option<String>,
-    /// At most so many, the latest first
+    /// Maximum number of runs, latest first
     #[arg(short = 'n', long, value_name = "N", default_value_t = 20)]
     pub limit: usize,
-    /// Print as JSON
+    /// Print JSON
     #[arg(long)]
     pub json: bool,
 }
 
 #[derive(Debug, Args)]
 pub(in crate::cli) struct DiffArgs {
-    /// The earlier run: its name, the start of its name, or `last~1` for the one before the last
+    /// The earlier run: its name, a prefix of its name, or `last~1` for the one before the last
     #[arg(value_name = "RUN1")]
     pub first: String,
     /// The later run
     #[arg(value_name = "RUN2", default_value = "last")]
     pub second: String,
-    /// Only these stages: `table22`, `'table*'`, `'evaluate[policy=beta]'`; may be given several times
+    /// Only these stages: `table22`, `'table*'`, `'evaluate[policy=beta]'`; can be repeated
     #[arg(long = "stage", value_name = "STAGE")]
     pub stages: Vec<String>,
     #[command(flatten)]
     pub store: StoreArgs,
-    /// Print as JSON
+    /// Print JSON
     #[arg(long)]
     pub json: bool,
 }

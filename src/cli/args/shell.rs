@@ -1,11 +1,11 @@
-//! What shells and `man` are told of the command line: made from its definition, so that they cannot lag behind.
+//! Shell completions and man pages, generated from the definition of the command line, so that they are always up to date.
 
 use std::io;
 
 use clap::{Args, Command, ValueEnum};
 use clap_complete::Shell;
 
-use crate::cli::Extra;
+use crate::cli::Extensions;
 
 #[derive(Debug, Args)]
 pub(in crate::cli) struct CompletionsArgs {
@@ -38,24 +38,29 @@ impl From<ShellName> for Shell {
 
 #[derive(Debug, Args)]
 pub(in crate::cli) struct ManArgs {
-    /// Write the pages of all commands into this folder; without it, the page of the program is printed
+    /// Write the man pages of all commands to this folder [default: print the page of the program]
     #[arg(short, long, value_name = "DIR")]
     pub out: Option<std::path::PathBuf>,
 }
 
-/// A script that completes this command line in a shell.
-pub(in crate::cli) fn completions(shell: ShellName, extras: &[Extra]) -> Vec<u8> {
+/// The completion script for a shell.
+pub(in crate::cli) fn completions(shell: ShellName, extensions: &Extensions<'_>) -> Vec<u8> {
     let mut script = Vec::new();
-    clap_complete::generate(Shell::from(shell), &mut super::command(extras, false), "dril-pipe", &mut script);
+    clap_complete::generate(
+        Shell::from(shell),
+        &mut super::command(extensions, false),
+        "dril-pipe",
+        &mut script,
+    );
     script
 }
 
-/// The manual: file name and text of each page, that of the program first.
+/// The man pages with their file names, the program's first.
 ///
 /// # Errors
 /// A page cannot be rendered.
-pub(in crate::cli) fn pages(extras: &[Extra]) -> io::Result<Vec<(String, Vec<u8>)>> {
-    let mut command = super::command(extras, false).disable_help_subcommand(true);
+pub(in crate::cli) fn pages(extensions: &Extensions<'_>) -> io::Result<Vec<(String, Vec<u8>)>> {
+    let mut command = super::command(extensions, false).disable_help_subcommand(true);
     command.build();
     let mut all = Vec::new();
     page(&command, &mut all)?;

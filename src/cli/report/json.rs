@@ -6,12 +6,11 @@ use std::time::Instant;
 use serde_json::{Value, json};
 
 use super::{Ending, Reporter};
-use crate::cli::plan::Counts;
 use crate::cli::terminal::print;
 use crate::cli::why;
 use crate::error::Error;
 use crate::exec::Event;
-use crate::plan::Plan;
+use crate::plan::{Counts, Plan};
 use crate::resolve::{Graph, StageIndex};
 
 /// Prints lines of JSON.
@@ -44,7 +43,7 @@ impl<'g> Json<'g> {
 
 impl Reporter for Json<'_> {
     fn planned(&mut self, plan: &Plan<'_>, threads: usize) {
-        let Counts { cached, run, depends } = Counts::of(plan);
+        let Counts { cached, run, depends } = plan.counts();
         let fields = json!({
             "pipeline": self.graph.pipeline, "profile": self.graph.profile, "threads": threads,
             "stages": plan.steps.len(), "cached": cached, "run": run, "depends_on": depends,
@@ -88,25 +87,25 @@ impl Reporter for Json<'_> {
     }
 
     fn ended(&mut self, ending: &Ending<'_>) {
-        let outcome = &ending.executed.outcome;
+        let outcome = &ending.finished.executed.outcome;
         let mut fields = json!({
             "ran": outcome.ran, "cached": outcome.cached, "failed": outcome.failed,
             "skipped": outcome.skipped, "stopped": outcome.stopped,
             "seconds": outcome.took.as_secs_f64(), "exit_code": ending.exit_code,
         });
-        if let Some(published) = ending.published {
+        if let Some(published) = &ending.finished.published {
             fields["results"] = json!({
                 "folder": published.folder.to_string_lossy(), "files": published.files,
                 "earlier": published.earlier, "removed": published.removed,
             });
         }
-        if let Some(left) = ending.left {
+        if let Some(left) = &ending.finished.remaining {
             let stages: Vec<&str> = left.stages.iter().map(|stage| self.id(*stage)).collect();
             fields["left"] = json!({
                 "stages": stages, "seconds": left.time.as_secs_f64(), "unknown": left.unknown,
             });
         }
-        if let Some(error) = ending.error {
+        if let Some(error) = &ending.finished.error {
             fields["error"] = json!(error.message());
         }
         self.say("ended", fields);

@@ -29,7 +29,7 @@ impl Reporter for Quiet<'_> {
     }
 
     fn ended(&mut self, ending: &Ending<'_>) {
-        if let Some(error) = ending.error {
+        if let Some(error) = &ending.finished.error {
             print_error(&error.to_string());
         }
     }

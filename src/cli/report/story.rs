@@ -3,16 +3,15 @@
 use std::collections::HashMap;
 use std::path::Path;
 
-use super::{Ending, Left};
+use super::Ending;
 use crate::cli::names::Names;
-use crate::cli::plan::Counts;
-use crate::cli::results::cut_names;
 use crate::cli::terminal::{
     Style, Terminal, count, cut, duration, estimate, print, print_error, printable, shown,
 };
 use crate::exec::{Event, Outcome};
-use crate::plan::{Plan, Verdict};
+use crate::plan::{Counts, Plan, Verdict};
 use crate::resolve::{Graph, StageIndex};
+use crate::session::{Remaining, cut_names};
 use crate::store::Key;
 
 /// At most so many stages are named as skipped.
@@ -90,7 +89,7 @@ impl<'g> Story<'g> {
                 *known = true;
             }
         }
-        let Counts { cached, run, depends } = Counts::of(plan);
+        let Counts { cached, run, depends } = plan.counts();
         let title = format!("{}, profile {}", self.graph.pipeline, self.graph.profile);
         let mut text = self.terminal.paint(Style::Strong, &title);
         text += &format!(": {}, {cached} cached", count(self.total, "stage"));
@@ -163,16 +162,17 @@ impl<'g> Story<'g> {
 
     /// The last lines.
     pub fn ended(&self, ending: &Ending<'_>) -> Vec<Line> {
-        let error = ending.error.map(|error| Line::Error(error.to_string().trim_end().to_owned()));
+        let error =
+            ending.finished.error.as_ref().map(|error| Line::Error(error.to_string().trim_end().to_owned()));
         [Line::Out(self.end(ending))].into_iter().chain(error).collect()
     }
 
     fn end(&self, ending: &Ending<'_>) -> String {
-        let mut text = self.verdict(&ending.executed.outcome);
-        if let Some(left) = ending.left {
+        let mut text = self.verdict(&ending.finished.executed.outcome);
+        if let Some(left) = &ending.finished.remaining {
             text += &self.left(left);
         }
-        if let Some(published) = ending.published {
+        if let Some(published) = &ending.finished.published {
             let folder = shown(&published.folder);
             text += &format!("\nresults: {folder} ({})", count(published.files, "file"));
             if !published.earlier.is_empty() {
@@ -190,7 +190,7 @@ impl<'g> Story<'g> {
     }
 
     /// What the next run has to do.
-    fn left(&self, left: &Left) -> String {
+    fn left(&self, left: &Remaining) -> String {
         let stages = Names::new(self.graph).groups(&left.stages, MOST_SKIPPED);
         let mut text = format!("\n  left: {stages}");
         if left.time.as_secs() > 0 {

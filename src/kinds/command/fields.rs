@@ -78,7 +78,7 @@ impl CommandInput {
     /// What it takes: what is said, a folder where the path ends with `/`, else anything.
     pub(super) fn artifact(&self) -> Artifact {
         let folder = !self.many && self.path.as_deref().is_some_and(|path| path.ends_with('/'));
-        self.artifact.unwrap_or(if folder { Artifact::Folder } else { Artifact::Any })
+        self.artifact.unwrap_or(if folder { Artifact::FOLDER } else { Artifact::ANY })
     }
 }
 
@@ -95,14 +95,14 @@ impl CommandOutput {
     /// What it is: what is said, a folder where the path ends with `/`, else a file.
     pub(super) fn artifact(&self) -> Artifact {
         let folder = self.path.as_deref().is_some_and(|path| path.ends_with('/'));
-        self.artifact.unwrap_or(if folder { Artifact::Folder } else { Artifact::File })
+        self.artifact.unwrap_or(if folder { Artifact::FOLDER } else { Artifact::FILE })
     }
 
     /// The ending of its file, without the dot.
     pub(super) fn extension(&self) -> &str {
         let ending = self.path.as_deref().and_then(|path| Path::new(path).extension()?.to_str());
         match self.artifact() {
-            Artifact::Folder => "",
+            Artifact::FOLDER => "",
             artifact => ending.filter(|ending| is_ending(ending)).unwrap_or(artifact.extension()),
         }
     }
@@ -110,7 +110,7 @@ impl CommandOutput {
     /// Where it is expected without a path of its own.
     pub(super) fn default_path(&self, name: &str) -> String {
         match self.artifact() {
-            Artifact::Folder => format!("outputs/{name}"),
+            Artifact::FOLDER => format!("outputs/{name}"),
             artifact => format!("outputs/{name}.{}", artifact.extension()),
         }
     }

@@ -219,7 +219,7 @@ fn check_names(params: &CommandParams, problems: &mut Problems) {
         }
     }
     for (name, output) in &params.outputs {
-        if output.artifact == Some(Artifact::Any) {
+        if output.artifact == Some(Artifact::ANY) {
             problems.add(
                 &format!("outputs.{name}"),
                 "an output is `any`, expected what it is, such as `file` or `table`",

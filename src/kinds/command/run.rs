@@ -225,7 +225,7 @@ fn collect(
     let mut wrong = Vec::new();
     for (name, output) in &params.outputs {
         let path = params.output_path(name);
-        let is_folder = output.artifact() == Artifact::Folder;
+        let is_folder = output.artifact() == Artifact::FOLDER;
         let Some(place) = outputs.get(name) else {
             wrong.push(format!("output `{name}` has no place"));
             continue;

@@ -5,7 +5,7 @@
 //! - [`Ports`] declare typed inputs and outputs ([`Artifact`]); [`Needs`] what the stage takes of the machine.
 //! - [`Ctx`] is all that a running stage sees: seed, inputs, outputs, progress, checkpoint folder, cancellation.
 //! - [`Job`] is the same as a file, as the engine writes it for the child process that runs the stage.
-//! - [`Reply`] is how a subcommand that a stage crate brings along ends.
+//! - [`Tool`] is a subcommand that a stage package brings along, and [`Reply`] how one ends.
 //! - [`math`] and [`draw`] are functions and random draws whose bits do not depend on the processor: what reaches a
 //!   result uses them instead of those of `std` or of a library.
 //! - [`outcome`] is a pipeline with its results, for whoever writes a page about them.
@@ -13,7 +13,7 @@
 //!
 //! This crate knows nothing of YAML, keys or the cache, and depends on no other package of the workspace.
 
-mod artifact;
+pub mod artifact;
 mod ctx;
 pub mod draw;
 mod error;
@@ -31,6 +31,7 @@ pub mod scores;
 mod seed;
 mod stage;
 pub mod testing;
+mod tool;
 
 pub use artifact::Artifact;
 pub use ctx::{Ctx, InputItem};
@@ -45,3 +46,4 @@ pub use registry::{Registry, RegistryError};
 pub use reply::Reply;
 pub use seed::{Seed, StreamRng};
 pub use stage::{Describe, Finish, Prepared, Program, Stage};
+pub use tool::{Tool, ToolOption, ToolValue};

@@ -2,15 +2,15 @@
 //!
 //! The driver knows the track ahead, which no policy sees: what it does is a target to imitate, not a competitor.
 
-use dril_stage_api::{Artifact, Ctx, Describe, Needs, Ports, Problems, Seed, Stage, StageError, draw};
+use dril_stage_api::{Ctx, Describe, Needs, Ports, Problems, Seed, Stage, StageError, draw};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::car_racing::CarRacing;
 use crate::car_racing::driver::drive as steer;
 use crate::{
-    ActionRange, CarRacingConfig, Demonstrations, DemosHeader, Env, EnvConfig, EnvError, Episode, Frame,
-    Outcome,
+    ActionRange, CarRacingConfig, DEMONSTRATIONS, Demonstrations, DemosHeader, Env, EnvConfig, EnvError,
+    Episode, Frame, Outcome,
 };
 
 /// Records laps of the scripted driver.
@@ -94,7 +94,7 @@ impl Describe for Drive {
     fn ports(_: &DriveParams) -> Ports {
         Ports::new().output(
             "demonstrations",
-            Artifact::Demonstrations,
+            DEMONSTRATIONS,
             "demos",
             "the kept laps, actions as the driver meant them",
         )

@@ -12,6 +12,7 @@
 //! Randomness comes from the episode's seed only; nothing depends on threads or time. No libtorch here.
 
 pub mod area;
+mod artifacts;
 pub mod car_racing;
 pub mod check;
 pub mod command;
@@ -34,6 +35,7 @@ mod stack;
 pub mod surface;
 mod vec_env;
 
+pub use artifacts::DEMONSTRATIONS;
 pub use config::{CarRacingConfig, CarRacingVersion, EnvConfig, LunarLanderConfig};
 pub use demos::{ActionRange, Demonstrations, DemosError, DemosHeader, Episode};
 pub use drive::{Drive, DriveParams};

@@ -1,5 +1,7 @@
 //! `bc`: behaviour cloning.
 
+use crate::artifacts::POLICY;
+use dril_envs::DEMONSTRATIONS;
 use dril_stage_api::{Artifact, Describe, Needs, Ports, Problems};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -98,9 +100,9 @@ impl Describe for Bc {
 
     fn ports(_: &BcParams) -> Ports {
         Ports::new()
-            .input("demonstrations", Artifact::Demonstrations, "what to imitate")
-            .output("policy", Artifact::Policy, "safetensors", "the agent with the best validation loss")
-            .output("log", Artifact::TrainingLog, "csv", "one row per epoch")
+            .input("demonstrations", DEMONSTRATIONS, "what to imitate")
+            .output("policy", POLICY, "safetensors", "the agent with the best validation loss")
+            .output("log", Artifact::TRAINING_LOG, "csv", "one row per epoch")
     }
 
     fn needs(params: &BcParams) -> Needs {

@@ -1,7 +1,9 @@
 //! `collect`: records an expert's good episodes.
 
+use crate::artifacts::POLICY;
+use dril_envs::DEMONSTRATIONS;
 use dril_envs::EnvConfig;
-use dril_stage_api::{Artifact, Describe, Needs, Ports, Problems};
+use dril_stage_api::{Describe, Needs, Ports, Problems};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -65,9 +67,9 @@ impl Describe for Collect {
     }
 
     fn ports(_: &CollectParams) -> Ports {
-        Ports::new().input("policy", Artifact::Policy, "the expert").output(
+        Ports::new().input("policy", POLICY, "the expert").output(
             "demonstrations",
-            Artifact::Demonstrations,
+            DEMONSTRATIONS,
             "demos",
             "the kept episodes, actions as the policy gave them",
         )

@@ -1,6 +1,7 @@
 //! `dataset`: packs recorded episodes into what the imitators learn from.
 
-use dril_stage_api::{Artifact, Describe, Needs, Ports, Problems};
+use dril_envs::DEMONSTRATIONS;
+use dril_stage_api::{Describe, Needs, Ports, Problems};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -42,9 +43,9 @@ impl Describe for Dataset {
     }
 
     fn ports(_: &DatasetParams) -> Ports {
-        Ports::new().input("demonstrations", Artifact::Demonstrations, "the recording").output(
+        Ports::new().input("demonstrations", DEMONSTRATIONS, "the recording").output(
             "demonstrations",
-            Artifact::Demonstrations,
+            DEMONSTRATIONS,
             "demos",
             "the set to learn from",
         )

@@ -1,5 +1,7 @@
 //! `dril`: disagreement-regularised imitation learning.
 
+use crate::artifacts::{ENSEMBLE, POLICY};
+use dril_envs::DEMONSTRATIONS;
 use dril_envs::EnvConfig;
 use dril_stage_api::{Artifact, Describe, Needs, Part, Ports, Problems};
 use schemars::JsonSchema;
@@ -134,24 +136,24 @@ impl Describe for Dril {
 
     fn ports(_: &DrilParams) -> Ports {
         Ports::new()
-            .input("policy", Artifact::Policy, "the cloned behaviour to start from")
-            .input("ensemble", Artifact::Ensemble, "the policies whose disagreement is punished")
-            .input("demonstrations", Artifact::Demonstrations, "what to imitate")
+            .input("policy", POLICY, "the cloned behaviour to start from")
+            .input("ensemble", ENSEMBLE, "the policies whose disagreement is punished")
+            .input("demonstrations", DEMONSTRATIONS, "what to imitate")
             .output(
                 "peak",
-                Artifact::Policy,
+                POLICY,
                 "safetensors",
                 "the agent of the best mean training score: the weights that earned it",
             )
             .output(
                 "peak-after",
-                Artifact::Policy,
+                POLICY,
                 "safetensors",
                 "the same after the update that followed, which the reference saves",
             )
-            .output("final", Artifact::Policy, "safetensors", "the agent after the last update")
-            .output("log", Artifact::TrainingLog, "csv", "one row per update")
-            .output("episodes", Artifact::TrainingLog, "csv", "one row per episode of the training")
+            .output("final", POLICY, "safetensors", "the agent after the last update")
+            .output("log", Artifact::TRAINING_LOG, "csv", "one row per update")
+            .output("episodes", Artifact::TRAINING_LOG, "csv", "one row per episode of the training")
     }
 
     fn needs(params: &DrilParams) -> Needs {

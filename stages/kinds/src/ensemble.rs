@@ -1,5 +1,7 @@
 //! `ensemble`: the policies whose disagreement DRIL punishes.
 
+use crate::artifacts::ENSEMBLE;
+use dril_envs::DEMONSTRATIONS;
 use dril_stage_api::{Artifact, Describe, Needs, Ports, Problems};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -85,9 +87,9 @@ impl Describe for Ensemble {
 
     fn ports(_: &EnsembleParams) -> Ports {
         Ports::new()
-            .input("demonstrations", Artifact::Demonstrations, "what to imitate")
-            .output("ensemble", Artifact::Ensemble, "safetensors", "the policies")
-            .output("log", Artifact::TrainingLog, "csv", "one row per epoch")
+            .input("demonstrations", DEMONSTRATIONS, "what to imitate")
+            .output("ensemble", ENSEMBLE, "safetensors", "the policies")
+            .output("log", Artifact::TRAINING_LOG, "csv", "one row per epoch")
     }
 
     fn needs(params: &EnsembleParams) -> Needs {

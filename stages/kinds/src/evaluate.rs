@@ -1,5 +1,6 @@
 //! `evaluate`: scores an agent on a fixed list of seeds.
 
+use crate::artifacts::POLICY;
 use dril_envs::EnvConfig;
 use dril_stage_api::{Artifact, Describe, Needs, Ports, Problems};
 use schemars::JsonSchema;
@@ -67,9 +68,9 @@ impl Describe for Evaluate {
     }
 
     fn ports(_: &EvaluateParams) -> Ports {
-        Ports::new().input("policy", Artifact::Policy, "the agent").output(
+        Ports::new().input("policy", POLICY, "the agent").output(
             "scores",
-            Artifact::Scores,
+            Artifact::SCORES,
             "csv",
             "one row per episode: seed, score, steps, outcome",
         )

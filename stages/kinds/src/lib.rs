@@ -3,6 +3,7 @@
 //! Each module describes one kind; `dril-learn` implements them. Defaults are literal values; the pipelines state
 //! those of the thesis's experiments. Where text and code of the original differ, the field says which is which.
 
+pub mod artifacts;
 mod bc;
 mod choices;
 mod collect;
@@ -13,6 +14,7 @@ mod ensemble;
 mod evaluate;
 mod on_policy;
 mod ppo;
+mod replay;
 mod update;
 
 pub use bc::{Bc, BcParams, Split, Validation};
@@ -24,6 +26,7 @@ pub use ensemble::{Bootstrap, Ensemble, EnsembleParams};
 pub use evaluate::{Counted, Evaluate, EvaluateParams};
 pub use on_policy::{EPISODE_COLUMNS, OnPolicyParams};
 pub use ppo::{Ppo, PpoParams};
+pub use replay::REPLAY;
 pub use update::UpdateSettings;
 
 use dril_stage_api::Kind;

@@ -1,5 +1,6 @@
 //! `ppo`: trains an expert.
 
+use crate::artifacts::POLICY;
 use dril_envs::{ActionSpace, EnvConfig};
 use dril_stage_api::{Artifact, Describe, Needs, Part, Ports, Problems};
 use schemars::JsonSchema;
@@ -146,13 +147,13 @@ impl Describe for Ppo {
     fn ports(params: &PpoParams) -> Ports {
         let ports = Ports::new();
         let ports = match params.from_step {
-            0 => ports.optional("policy", Artifact::Policy, "the agent to begin with; left out: a new one"),
-            _ => ports.input("policy", Artifact::Policy, "the agent as it stood at `from_step`"),
+            0 => ports.optional("policy", POLICY, "the agent to begin with; left out: a new one"),
+            _ => ports.input("policy", POLICY, "the agent as it stood at `from_step`"),
         };
         ports
-            .output("policy", Artifact::Policy, "safetensors", "the trained agent")
-            .output("log", Artifact::TrainingLog, "csv", "one row per update")
-            .output("episodes", Artifact::TrainingLog, "csv", "one row per episode of the training")
+            .output("policy", POLICY, "safetensors", "the trained agent")
+            .output("log", Artifact::TRAINING_LOG, "csv", "one row per update")
+            .output("episodes", Artifact::TRAINING_LOG, "csv", "one row per episode of the training")
     }
 
     fn needs(params: &PpoParams) -> Needs {

@@ -78,9 +78,9 @@ impl Describe for Compare {
 
     fn ports(_: &CompareParams) -> Ports {
         Ports::new()
-            .many(PORT, Artifact::Scores, "the evaluations; their labels say what is compared with what")
-            .output("csv", Artifact::Table, "csv", "one line an evaluation")
-            .output("markdown", Artifact::Table, "md", "the same for people")
+            .many(PORT, Artifact::SCORES, "the evaluations; their labels say what is compared with what")
+            .output("csv", Artifact::TABLE, "csv", "one line an evaluation")
+            .output("markdown", Artifact::TABLE, "md", "the same for people")
     }
 }
 

@@ -70,16 +70,16 @@ impl Describe for Leaderboard {
         Ports::new()
             .many(
                 samples::PORT,
-                Artifact::Scores,
+                Artifact::SCORES,
                 "the evaluations, each named: `scores: { some name: stage }`",
             )
             .input(
                 reference::PORT,
-                Artifact::File,
+                Artifact::FILE,
                 "published results: a CSV file of algorithm, mean, std, source",
             )
-            .output("csv", Artifact::Table, "csv", "one line an algorithm and source")
-            .output("markdown", Artifact::Table, "md", "the same for people")
+            .output("csv", Artifact::TABLE, "csv", "one line an algorithm and source")
+            .output("markdown", Artifact::TABLE, "md", "the same for people")
     }
 }
 

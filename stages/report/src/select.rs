@@ -11,6 +11,8 @@ use crate::number::precise;
 use crate::samples::{self, Sample, describe, summarise, unique};
 use crate::stats::Summary;
 
+/// The type of what is chosen from: the same as that of the package that trains policies.
+const POLICY: Artifact = Artifact::new("policy", "safetensors");
 /// The name of the input with the policies.
 const CANDIDATES: &str = "candidates";
 /// The columns that follow the labels in the ranking.
@@ -52,10 +54,10 @@ impl Describe for Select {
 
     fn ports(_: &SelectParams) -> Ports {
         Ports::new()
-            .many(CANDIDATES, Artifact::Policy, "the policies to choose from")
-            .many(samples::PORT, Artifact::Scores, "one evaluation of each candidate, with the same labels")
-            .output("policy", Artifact::Policy, "safetensors", "the chosen policy, byte for byte")
-            .output("ranking", Artifact::File, "csv", "all candidates, the best first")
+            .many(CANDIDATES, POLICY, "the policies to choose from")
+            .many(samples::PORT, Artifact::SCORES, "one evaluation of each candidate, with the same labels")
+            .output("policy", POLICY, "safetensors", "the chosen policy, byte for byte")
+            .output("ranking", Artifact::FILE, "csv", "all candidates, the best first")
     }
 }
 

@@ -88,14 +88,14 @@ impl Describe for Table {
 
     fn ports(_: &TableParams) -> Ports {
         Ports::new()
-            .many(samples::PORT, Artifact::Scores, "the evaluations; their labels say where each belongs")
+            .many(samples::PORT, Artifact::SCORES, "the evaluations; their labels say where each belongs")
             .optional(
                 reference::PORT,
-                Artifact::File,
+                Artifact::FILE,
                 "published values: a CSV file of the keys, mean and std",
             )
-            .output("csv", Artifact::Table, "csv", "one line a combination of the keys")
-            .output("markdown", Artifact::Table, "md", "the same as a grid for people")
+            .output("csv", Artifact::TABLE, "csv", "one line a combination of the keys")
+            .output("markdown", Artifact::TABLE, "md", "the same as a grid for people")
     }
 }
 

@@ -1,6 +1,7 @@
 //! The Python that plays: a virtual environment with pinned packages, made when it is first needed, or one that the user
 //! names.
 
+use std::ffi::OsString;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
@@ -24,6 +25,27 @@ pub struct PythonHome {
     pub folder: PathBuf,
     /// A Python that has the packages already; none is made then.
     pub python: Option<PathBuf>,
+}
+
+/// The environment variable that names the folder for virtual environments.
+const FOLDER_VARIABLE: &str = "DRIL_PIPE_VENVS";
+/// The environment variable that names a Python with the packages.
+const PYTHON_VARIABLE: &str = "DRIL_PIPE_PYTHON";
+
+impl PythonHome {
+    /// The home that the environment names: `DRIL_PIPE_PYTHON`, and `DRIL_PIPE_VENVS` or else the user's cache folder as in the
+    /// XDG base directory specification.
+    pub fn from_environment() -> Self {
+        Self::from_variables(|name| std::env::var_os(name))
+    }
+
+    fn from_variables(variable: impl Fn(&str) -> Option<OsString>) -> Self {
+        let variable = |name: &str| variable(name).filter(|value| !value.is_empty()).map(PathBuf::from);
+        let cache = || variable("XDG_CACHE_HOME").or_else(|| Some(variable("HOME")?.join(".cache")));
+        let default = || cache().unwrap_or_else(std::env::temp_dir).join("dril-pipe");
+        let folder = variable(FOLDER_VARIABLE).unwrap_or_else(default);
+        Self { folder, python: variable(PYTHON_VARIABLE) }
+    }
 }
 
 static HOME: OnceLock<PythonHome> = OnceLock::new();
@@ -198,5 +220,22 @@ mod tests {
         fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).unwrap();
         let error = ready(folder.path(), &path.to_string_lossy()).unwrap_err().to_string();
         assert!(error.contains("is Python 3.8, expected Python 3.11"), "{error}");
+    }
+
+    #[test]
+    fn the_named_folder_wins_then_the_cache_then_home() {
+        let with = |names: &[(&str, &str)]| {
+            let names: Vec<(String, String)> =
+                names.iter().map(|(name, value)| ((*name).to_owned(), (*value).to_owned())).collect();
+            let find = |name: &str| {
+                names.iter().find(|(other, _)| other == name).map(|(_, value)| OsString::from(value))
+            };
+            PythonHome::from_variables(find).folder
+        };
+        let all = [(FOLDER_VARIABLE, "/v"), ("XDG_CACHE_HOME", "/c"), ("HOME", "/h")];
+        assert_eq!(with(&all), PathBuf::from("/v"));
+        assert_eq!(with(&all[1..]), PathBuf::from("/c/dril-pipe"));
+        assert_eq!(with(&all[2..]), PathBuf::from("/h/.cache/dril-pipe"));
+        assert!(with(&[]).ends_with("dril-pipe"));
     }
 }

@@ -58,10 +58,10 @@ impl Describe for Figure {
 
     fn ports(_: &FigureParams) -> Ports {
         Ports::new()
-            .many(data::PORT, Artifact::File, "CSV files with a header; their labels say where each belongs")
-            .optional(reference::PORT, Artifact::File, "published values: a CSV file of the labels and mean")
-            .output("svg", Artifact::Figure, "svg", "the figure")
-            .output("csv", Artifact::Table, "csv", "what it draws, one line a mark")
+            .many(data::PORT, Artifact::FILE, "CSV files with a header; their labels say where each belongs")
+            .optional(reference::PORT, Artifact::FILE, "published values: a CSV file of the labels and mean")
+            .output("svg", Artifact::FIGURE, "svg", "the figure")
+            .output("csv", Artifact::TABLE, "csv", "what it draws, one line a mark")
     }
 }
 

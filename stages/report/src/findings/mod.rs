@@ -36,15 +36,15 @@ impl Describe for Findings {
 
     fn ports(_: &FindingsParams) -> Ports {
         Ports::new()
-            .many(samples::PORT, Artifact::Scores, "the evaluations; their labels say where each belongs")
+            .many(samples::PORT, Artifact::SCORES, "the evaluations; their labels say where each belongs")
             .optional(
                 reference::PORT,
-                Artifact::File,
+                Artifact::FILE,
                 "published values: a CSV file of the labels, mean and std",
             )
-            .output("csv", Artifact::Table, "csv", "one line a claim, with verdict, difference and interval")
-            .output("pairs", Artifact::File, "csv", "one line a pair of cells of a claim")
-            .output("markdown", Artifact::Table, "md", "the claims for people")
+            .output("csv", Artifact::TABLE, "csv", "one line a claim, with verdict, difference and interval")
+            .output("pairs", Artifact::FILE, "csv", "one line a pair of cells of a claim")
+            .output("markdown", Artifact::TABLE, "md", "the claims for people")
     }
 }
 

@@ -22,7 +22,7 @@ const REPETITIONS: [&str; 4] = ["seed", "fold", "run", "repetition"];
 
 /// The pipeline's own figures.
 pub(crate) fn section(outcome: &Outcome, room: &mut Room) -> Result<Option<Section>, StageError> {
-    let all = made(outcome, |_, output| output.artifact == Artifact::Figure);
+    let all = made(outcome, |_, output| output.artifact == Artifact::FIGURE);
     if all.is_empty() {
         return Ok(None);
     }
@@ -110,7 +110,7 @@ pub(crate) fn automatic(outcome: &Outcome, room: &mut Room) -> Result<Option<Sec
             })
         })
     };
-    let wanted = [Artifact::Scores, Artifact::TrainingLog];
+    let wanted = [Artifact::SCORES, Artifact::TRAINING_LOG];
     let all =
         made(outcome, |stage, output| wanted.contains(&output.artifact) && !drawn(&stage.name, &output.name));
     let mut groups: Vec<(&str, &str, Members<'_>)> = Vec::new();
@@ -161,7 +161,7 @@ fn figure_of(
     let (repetitions, axes): (Vec<&str>, Vec<&str>) =
         axes.into_iter().partition(|axis| REPETITIONS.contains(axis));
     params.pool = repetitions.into_iter().map(str::to_owned).collect();
-    if members[0].1.artifact == Artifact::Scores {
+    if members[0].1.artifact == Artifact::SCORES {
         params.y = vec![Measure::Column("score".to_owned())];
         params.layers = Layers { interval: Some(Intervals {}), ..Layers::default() };
         params.categories = axes.into_iter().map(str::to_owned).collect();

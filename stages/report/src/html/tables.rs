@@ -14,7 +14,7 @@ const MOST_TABLES: usize = 40;
 fn tables(outcome: &Outcome) -> Vec<(&StageOutcome, &OutputOutcome)> {
     made(outcome, |stage, output| {
         let has_its_own_section = ["findings", "figure"].contains(&stage.kind.as_str());
-        output.artifact == Artifact::Table && output.extension == "csv" && !has_its_own_section
+        output.artifact == Artifact::TABLE && output.extension == "csv" && !has_its_own_section
     })
 }
 

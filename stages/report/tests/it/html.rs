@@ -118,11 +118,11 @@ impl Lab {
                 kind,
                 &[],
                 &[
-                    ("svg", Artifact::Figure, "svg", &read("svg")),
-                    ("csv", Artifact::Table, "csv", &read("csv")),
+                    ("svg", Artifact::FIGURE, "svg", &read("svg")),
+                    ("csv", Artifact::TABLE, "csv", &read("csv")),
                 ],
             ),
-            _ => self.stage(name, kind, &[], &[("csv", Artifact::Table, "csv", &read("csv"))]),
+            _ => self.stage(name, kind, &[], &[("csv", Artifact::TABLE, "csv", &read("csv"))]),
         };
         self.outcome.stages[at].params = bench.job().params.clone();
         self.outcome.stages[at].chosen = [("title".to_owned(), params["title"].clone())].into();
@@ -179,7 +179,7 @@ fn thesis(profile: &str, episodes: usize) -> Lab {
     {
         let labels = [("expert", expert), ("demonstrations", laps)];
         ensembles.push((
-            lab.stage("ensemble", "ensemble", &labels, &[("log", Artifact::TrainingLog, "csv", &losses(n))]),
+            lab.stage("ensemble", "ensemble", &labels, &[("log", Artifact::TRAINING_LOG, "csv", &losses(n))]),
             "log",
         ));
     }
@@ -188,7 +188,7 @@ fn thesis(profile: &str, episodes: usize) -> Lab {
         let (mean, std) = fakes::reported(labels);
         let bytes = scores(mean + 60.0 * noise(n + 7), std, n, episodes);
         evaluations.push((
-            lab.stage("evaluate", "evaluate", labels, &[("scores", Artifact::Scores, "csv", &bytes)]),
+            lab.stage("evaluate", "evaluate", labels, &[("scores", Artifact::SCORES, "csv", &bytes)]),
             "scores",
         ));
     }
@@ -278,14 +278,14 @@ fn the_page_fetches_nothing_runs_nothing_and_names_no_folder() {
 #[test]
 fn any_pipeline_has_a_page_and_what_failed_stands_in_it() {
     let mut lab = Lab::new("thesis");
-    lab.stage("words", "command", &[], &[("table", Artifact::Table, "csv", b"word,fox\n<b>the</b>,4\n")]);
+    lab.stage("words", "command", &[], &[("table", Artifact::TABLE, "csv", b"word,fox\n<b>the</b>,4\n")]);
     let svg = b"<svg xmlns=\"http://www.w3.org/2000/svg\"><script>alert(1)</script></svg>";
-    lab.stage("error", "command", &[], &[("figure", Artifact::Figure, "svg", svg)]);
+    lab.stage("error", "command", &[], &[("figure", Artifact::FIGURE, "svg", svg)]);
     lab.stage(
         "log",
         "command",
         &[("seed", "1")],
-        &[("log", Artifact::TrainingLog, "csv", b"step,loss\n1,2\n2,1\n3,0.5\n4,0.4\n")],
+        &[("log", Artifact::TRAINING_LOG, "csv", b"step,loss\n1,2\n2,1\n3,0.5\n4,0.4\n")],
     );
     let failed = lab.stage("train", "ppo", &[("seed", "2")], &[]);
     lab.outcome.stages[failed].state = State::Failed("no such <device>".into());
@@ -320,7 +320,7 @@ fn a_thousand_stages_and_a_hundred_thousand_points_stay_small_and_quick() {
             &format!("stage{}", n % 20),
             "evaluate",
             &labels,
-            &[("scores", Artifact::Scores, "csv", &scores(100.0, 50.0, n, 40))],
+            &[("scores", Artifact::SCORES, "csv", &scores(100.0, 50.0, n, 40))],
         );
     }
     let rows: String = (0..100_000).map(|n| format!("{n},{:.3}\n", 100.0 * noise(n))).collect();
@@ -328,7 +328,7 @@ fn a_thousand_stages_and_a_hundred_thousand_points_stay_small_and_quick() {
         "train",
         "ppo",
         &[],
-        &[("log", Artifact::TrainingLog, "csv", format!("step,score_mean_10\n{rows}").as_bytes())],
+        &[("log", Artifact::TRAINING_LOG, "csv", format!("step,score_mean_10\n{rows}").as_bytes())],
     );
     let params = json!({ "title": "All points", "x": "step", "y": ["score_mean_10"], "layers": { "points": {}, "line": { "smooth": 100 } } });
     lab.run::<Figure>("all-points", "figure", &params, "data", &[(log, "log")], None);

@@ -1,0 +1,103 @@
+//! `dril-pipe cache gc`: makes room in the store.
+
+use std::collections::HashSet;
+use std::path::Path;
+use std::process::ExitCode;
+
+use dril_stage_api::Registry;
+use serde_json::{Value, json};
+
+use crate::cli::args::GcArgs;
+use crate::cli::commands::inspect::{age, epoch, size};
+use crate::cli::terminal::{count, print, printable};
+use crate::cli::{columns, pipeline};
+use crate::error::{Error, ErrorKind};
+use crate::fsx;
+use crate::plan::{self, Verdict};
+use crate::session::LockFile;
+use crate::store::{Key, Store, Sweep, Swept};
+
+/// At most so many results are listed for people.
+const MOST_RESULTS: usize = 20;
+
+pub(in crate::cli) fn main(args: &GcArgs, registry: &Registry) -> Result<ExitCode, Error> {
+    let store = pipeline::store(&args.store)?;
+    let mut keep = HashSet::new();
+    for path in &args.keep {
+        keep.extend(kept_by(path, &store, registry)?);
+    }
+    let wish = Sweep { keep, older_than: args.older_than, max_bytes: args.max_size, dry_run: args.dry_run };
+    let swept = store.sweep(&wish)?;
+    if args.json {
+        print(&format!("{:#}\n", as_json(&swept, args.dry_run)))?;
+    } else {
+        print(&text(&swept, args.dry_run))?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The keys that a pipeline file needs in any of its profiles, or that a lock file names.
+fn kept_by(path: &Path, store: &Store, registry: &Registry) -> Result<Vec<Key>, Error> {
+    if path.extension().is_some_and(|ending| ending == "lock") {
+        let text = fsx::read(path)?;
+        return Ok(LockFile::parse(&text, path)?.keys());
+    }
+    let mut keys = Vec::new();
+    let source = pipeline::source_of(path);
+    for graph in source.load_all_profiles(registry)? {
+        let plan = plan::plan(&graph, store, &source.base())?;
+        keys.extend(plan.steps.iter().filter_map(|(_, verdict)| match verdict {
+            Verdict::Cached { key, .. } => Some(*key),
+            _ => None,
+        }));
+    }
+    if keys.is_empty() {
+        let text = format!("`{}` has no results in this store that could be kept", path.display());
+        return Err(Error::new(ErrorKind::Usage, text)
+            .hint("is it the right store? nothing was removed; leave `--keep` out to go on"));
+    }
+    Ok(keys)
+}
+
+fn text(swept: &Swept, dry_run: bool) -> String {
+    let rows: Vec<Vec<String>> = swept
+        .records
+        .iter()
+        .take(MOST_RESULTS)
+        .map(|(key, stage, used)| vec![printable(stage), key.short(), format!("used {}", age(*used))])
+        .collect();
+    let mut text = columns::render(&rows, usize::MAX, &|_, cell| cell);
+    if let Some(more) = swept.records.len().checked_sub(MOST_RESULTS).filter(|more| *more > 0) {
+        text += &format!("  and {more} more\n");
+    }
+    let word = if dry_run { "would remove" } else { "removed" };
+    text += &format!(
+        "{word} {}, {}, {} of checkpoints and {} of logs: {}; {} of contents stay\n",
+        count(swept.records.len(), "result"),
+        count(swept.blobs, "content"),
+        count(swept.checkpoints, "folder"),
+        count(swept.runs, "run"),
+        size(swept.freed),
+        size(swept.left),
+    );
+    if swept.in_use > 0 {
+        text +=
+            &format!("{} stay because a process that runs now uses them\n", count(swept.in_use, "result"));
+    }
+    if swept.too_much {
+        text += "that is still more than the size that was asked for: all of it is kept or in use\n";
+    }
+    text
+}
+
+fn as_json(swept: &Swept, dry_run: bool) -> Value {
+    let records = swept.records.iter();
+    let records: Vec<Value> = records
+        .map(|(key, stage, used)| json!({ "key": key, "stage": stage, "used": epoch(*used) }))
+        .collect();
+    json!({
+        "dry_run": dry_run, "results": records, "contents": swept.blobs, "checkpoints": swept.checkpoints,
+        "runs": swept.runs, "freed": swept.freed, "left": swept.left, "in_use": swept.in_use,
+        "too_much": swept.too_much,
+    })
+}

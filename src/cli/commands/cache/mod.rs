@@ -1,0 +1,30 @@
+//! `dril-pipe cache`: looking after the store.
+
+mod du;
+mod gc;
+mod transfer;
+mod verify;
+
+use std::process::ExitCode;
+
+use dril_stage_api::Registry;
+
+use crate::cli::args::{CacheArgs, CacheCommand};
+use crate::error::Error;
+use crate::plan::key_of_record;
+use crate::store::{Key, Record};
+
+pub(in crate::cli) fn main(args: &CacheArgs, registry: &Registry) -> Result<ExitCode, Error> {
+    match &args.command {
+        CacheCommand::Verify(args) => verify::main(args),
+        CacheCommand::Gc(args) => gc::main(args, registry),
+        CacheCommand::Du(args) => du::main(args),
+        CacheCommand::Export(args) => transfer::export(args),
+        CacheCommand::Import(args) => transfer::import(args),
+    }
+}
+
+/// The key of a record, computed anew.
+fn key_of(record: &Record) -> Option<Key> {
+    key_of_record(record).ok()
+}

@@ -1,0 +1,59 @@
+//! Stages and runs as they are named on the command line.
+
+use crate::error::{Error, ErrorKind};
+use crate::resolve::{Graph, Pattern, StageIndex};
+use crate::store::Store;
+
+/// The stages that these words mean, in node order; all for no word.
+///
+/// # Errors
+/// A word means none.
+pub(in crate::cli) fn pick_stages(graph: &Graph, words: &[String]) -> Result<Vec<StageIndex>, Error> {
+    let mut picked = vec![words.is_empty(); graph.stages.node_count()];
+    for pattern in patterns(words)? {
+        for stage in pattern.stages(graph)? {
+            picked[stage.index()] = true;
+        }
+    }
+    Ok(graph.stages.node_indices().filter(|index| picked[index.index()]).collect())
+}
+
+/// The words as patterns.
+///
+/// # Errors
+/// A word can mean no stage.
+pub(super) fn patterns(words: &[String]) -> Result<Vec<Pattern<'_>>, Error> {
+    words.iter().map(|word| Pattern::parse(word).map_err(Error::from)).collect()
+}
+
+/// The run that a word names: its name, the only one that begins so, `last`, or `last~2`.
+///
+/// # Errors
+/// There is no such run, or more than one.
+pub(in crate::cli) fn pick_run(store: &Store, word: &str) -> Result<String, Error> {
+    let ids = store.run_ids()?;
+    let wrong = |text: String| {
+        Error::new(ErrorKind::Usage, text).hint("`dril-pipe runs` lists the runs of the store")
+    };
+    if ids.is_empty() {
+        return Err(wrong(format!("there are no runs in `{}`", store.root().display())));
+    }
+    let back = match word.strip_prefix("last") {
+        Some("") => Some(0),
+        Some(rest) => rest.strip_prefix('~').and_then(|number| number.parse::<usize>().ok()),
+        None => None,
+    };
+    if let Some(back) = back {
+        let count = ids.len();
+        return ids
+            .into_iter()
+            .nth(back)
+            .ok_or_else(|| wrong(format!("`{word}`: there are only {count} runs")));
+    }
+    let mut fitting = ids.iter().filter(|id| id.starts_with(word) && !word.is_empty());
+    match (fitting.next(), fitting.count()) {
+        (Some(id), 0) => Ok(id.clone()),
+        (Some(_), more) => Err(wrong(format!("{} runs have names that begin with `{word}`", more + 1))),
+        (None, _) => Err(wrong(format!("no run is called `{word}`"))),
+    }
+}

@@ -1,0 +1,145 @@
+//! What a store knows of a pipeline, as plain data.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use dril_stage_api::Kind;
+use dril_stage_api::outcome::{InputOutcome, Outcome, OutputOutcome, StageOutcome, State};
+use serde_json::Value;
+
+use crate::cli::args::PipelineArgs;
+use crate::cli::commands::inspect::failures::Failures;
+use crate::cli::pipeline;
+use crate::error::Error;
+use crate::fsx;
+use crate::plan::{self, Plan, Verdict};
+use crate::resolve::{From, Graph, StageIndex, StageInstance};
+use crate::session;
+use crate::store::{Record, Store};
+
+/// The pipeline as it stands; `folder` is where the page goes, so that it can link to what lies there.
+pub(super) fn outcome(
+    args: &PipelineArgs,
+    graph: &Graph,
+    store: &Store,
+    folder: &Path,
+) -> Result<Outcome, Error> {
+    let plan = plan::plan(graph, store, &pipeline::source(args).base())?;
+    let viewer =
+        Viewer { plan: &plan, store, failures: Failures::of(&plan, store)?, files: files(graph, folder) };
+    let stages = graph.stages.node_indices().map(|stage| viewer.stage(stage)).collect::<Result<_, _>>()?;
+    Ok(Outcome {
+        pipeline: graph.pipeline.clone(),
+        profile: graph.profile.clone(),
+        first_profile: pipeline::source(args).first_profile()?,
+        command: command(args),
+        tool: format!("dril-pipe {}", env!("CARGO_PKG_VERSION")),
+        stages,
+    })
+}
+
+/// The words that name the pipeline on a command line. A path from the root says where somebody keeps files, so only the
+/// file's name is taken from it.
+fn command(args: &PipelineArgs) -> Vec<String> {
+    let file = if args.file.is_absolute() { args.file.file_name().map(Path::new) } else { None };
+    let mut words = vec![file.unwrap_or(&args.file).display().to_string()];
+    let choices = args.choices();
+    words.extend(choices.profile.into_iter().flat_map(|profile| ["--profile".to_owned(), profile]));
+    words.extend(choices.set.into_iter().flat_map(|set| ["--set".to_owned(), set]));
+    words
+}
+
+/// The names of the results that lie in the folder, by stage and output.
+fn files(graph: &Graph, folder: &Path) -> BTreeMap<(String, String), String> {
+    let mut files = session::file_names(graph);
+    files.retain(|_, name| matches!(fsx::entry(&folder.join(name)), Ok(Some(fsx::Entry::File(_)))));
+    files
+}
+
+struct Viewer<'a> {
+    plan: &'a Plan<'a>,
+    store: &'a Store,
+    failures: Failures,
+    files: BTreeMap<(String, String), String>,
+}
+
+impl Viewer<'_> {
+    fn stage(&self, index: StageIndex) -> Result<StageOutcome, Error> {
+        let stage = &self.plan.graph.stages[index];
+        let (state, key, record) = match self.plan.verdict(index) {
+            Some(Verdict::Cached { key, .. }) => (State::Done, Some(*key), self.store.record(key)?),
+            Some(Verdict::Run { key, .. }) if self.store.is_being_made(key) => {
+                (State::Running, Some(*key), None)
+            }
+            Some(Verdict::Run { key, .. }) => match self.failures.message(key) {
+                Some(message) => (State::Failed(message.to_owned()), Some(*key), None),
+                None => (State::Stale, Some(*key), None),
+            },
+            _ => (State::Waiting, None, None),
+        };
+        Ok(StageOutcome {
+            name: stage.name.to_string(),
+            id: stage.id.to_string(),
+            labels: stage.coordinates.clone(),
+            kind: stage.kind.name().to_owned(),
+            revision: stage.kind.revision(),
+            chosen: chosen(&stage.kind, &stage.params),
+            params: stage.params.clone(),
+            seed: stage.seed.map(|seed| seed.0),
+            state,
+            key: key.map(|key| key.hex()),
+            inputs: inputs(stage),
+            outputs: record.as_ref().map_or_else(Vec::new, |record| self.outputs(stage, record)),
+            seconds: record.as_ref().map(|record| record.seconds),
+            made_with: record.map(made_with).unwrap_or_default(),
+        })
+    }
+
+    fn outputs(&self, stage: &StageInstance, record: &Record) -> Vec<OutputOutcome> {
+        let output = |port: &dril_stage_api::Output| {
+            let stored = record.outputs.get(port.name).filter(|stored| !stored.folder)?;
+            let place = (stage.id.to_string(), port.name.to_owned());
+            Some(OutputOutcome {
+                name: port.name.to_owned(),
+                artifact: port.artifact,
+                extension: port.extension.to_owned(),
+                digest: stored.digest.hex(),
+                bytes: stored.bytes,
+                path: self.store.blob_path(&stored.digest),
+                file: self.files.get(&place).cloned(),
+            })
+        };
+        stage.ports.outputs.iter().filter_map(output).collect()
+    }
+}
+
+fn inputs(stage: &StageInstance) -> Vec<InputOutcome> {
+    let sources = stage.inputs.iter().flat_map(|wire| wire.sources.iter().map(|source| (wire.port, source)));
+    let input = |(port, source): (&'static str, &crate::resolve::Source)| {
+        let (stage, from) = match &source.from {
+            From::Stage { stage, output } => (Some(stage.index()), (*output).to_owned()),
+            From::File { path, .. } => (None, path.clone()),
+        };
+        InputOutcome { port: port.to_owned(), stage, from, labels: source.labels.clone() }
+    };
+    sources.map(input).collect()
+}
+
+/// The parameters that are not what the kind takes by itself.
+fn chosen(kind: &Kind, params: &Value) -> BTreeMap<String, Value> {
+    let schema = kind.schema();
+    let defaults = schema.get("properties").cloned().unwrap_or_default();
+    let all = params.as_object().into_iter().flatten();
+    let differs =
+        |name: &str, value: &Value| defaults.get(name).and_then(|field| field.get("default")) != Some(value);
+    all.filter(|(name, value)| differs(name, value))
+        .map(|(name, value)| (name.clone(), value.clone()))
+        .collect()
+}
+
+fn made_with(record: Record) -> BTreeMap<String, String> {
+    let mut with = record.fingerprint.with;
+    with.insert("dril-pipe".to_owned(), record.fingerprint.tool);
+    with.insert("on".to_owned(), record.fingerprint.platform);
+    with
+}

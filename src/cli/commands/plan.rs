@@ -1,0 +1,191 @@
+//! `dril-pipe plan`: what would run, and why. Reads, and changes nothing.
+
+use std::process::ExitCode;
+
+use dril_stage_api::Registry;
+use serde_json::{Value, json};
+
+use crate::cli::args::PlanArgs;
+use crate::cli::names::Names;
+use crate::cli::terminal::{Style, Terminal, count, estimate, print};
+use crate::cli::{columns, pipeline, why};
+use crate::error::Error;
+use crate::exec::Options;
+use crate::plan::{self, Counts, Estimates, Plan, Verdict};
+use crate::resolve::StageIndex;
+use crate::session;
+use crate::store::Store;
+
+/// At most so many stages are named after "depends on".
+const MOST_CAUSES: usize = 4;
+
+pub(in crate::cli) fn main(args: &PlanArgs, registry: &Registry) -> Result<ExitCode, Error> {
+    let session = pipeline::session(&args.pipeline, &args.store, registry)?;
+    let session = session.selection(args.select.selection());
+    let loaded = session.load()?;
+    show(&loaded.plan()?, session.store(), args.json, args.all)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Prints a plan.
+pub(super) fn show(plan: &Plan<'_>, store: &Store, json: bool, all: bool) -> Result<(), Error> {
+    let estimates = Estimates::of(plan, store)?;
+    if json {
+        print(&format!("{:#}\n", as_json(plan, &estimates)))
+    } else {
+        print(&table(plan, &estimates, all, Terminal::stdout()))
+    }
+}
+
+/// One line of the table.
+#[derive(Debug)]
+struct Row<'g> {
+    stages: Vec<StageIndex>,
+    stage: &'g str,
+    verdict: &'static str,
+    /// What it depends on: stages that will run.
+    causes: Vec<StageIndex>,
+    /// What differs in the stage itself.
+    own: String,
+}
+
+/// The rows: instances of a stage with equal verdict and reasons share one, unless `all` are asked for.
+fn rows<'g>(plan: &Plan<'g>, names: &Names<'g>, all: bool) -> Vec<Row<'g>> {
+    let mut rows: Vec<Row<'g>> = Vec::new();
+    for (index, verdict) in &plan.steps {
+        let Some(stage) = plan.graph.stages.node_weight(*index) else { continue };
+        let row = row(*index, &stage.name, verdict);
+        if row.verdict == CACHED && !all {
+            continue;
+        }
+        let alike = |other: &Row<'_>| {
+            (other.stage, other.verdict, &other.own) == (row.stage, row.verdict, &row.own)
+                && names.same_stages(&other.causes, &row.causes)
+        };
+        match rows.iter_mut().rev().find(|other| !all && alike(other)) {
+            Some(other) => {
+                other.stages.extend(row.stages);
+                other.causes.extend(row.causes);
+                other.causes.sort_unstable();
+                other.causes.dedup();
+            }
+            None => rows.push(row),
+        }
+    }
+    rows
+}
+
+const CACHED: &str = "cached";
+
+fn row<'g>(index: StageIndex, stage: &'g str, verdict: &Verdict) -> Row<'g> {
+    let (verdict, causes, own) = match verdict {
+        Verdict::Cached { .. } => (CACHED, Vec::new(), String::new()),
+        Verdict::Run { why: reasons, .. } => ("run", Vec::new(), why::text(reasons)),
+        Verdict::DependsOn { stages, why: reasons } => ("depends on", stages.to_vec(), why::text(reasons)),
+    };
+    Row { stages: vec![index], stage, verdict, causes, own }
+}
+
+fn why_of(row: &Row<'_>, names: &Names<'_>) -> String {
+    match (row.causes.is_empty(), row.own.is_empty()) {
+        (true, _) => row.own.clone(),
+        (false, true) => names.groups(&row.causes, MOST_CAUSES),
+        (false, false) => format!("{}; {}", names.groups(&row.causes, MOST_CAUSES), row.own),
+    }
+}
+
+fn table(plan: &Plan<'_>, estimates: &Estimates, all: bool, terminal: Terminal) -> String {
+    let names = Names::new(plan.graph);
+    let rows: Vec<Vec<String>> = rows(plan, &names, all)
+        .into_iter()
+        .map(|row| vec![names.group(&row.stages), row.verdict.to_owned(), why_of(&row, &names)])
+        .collect();
+    let paint = |column, cell: String| match (column, cell.trim_end()) {
+        (1, "run") => terminal.paint(Style::Notable, &cell),
+        (1, _) => terminal.paint(Style::Quiet, &cell),
+        _ => cell,
+    };
+    let mut text = heading(plan, terminal);
+    text += &columns::render(&rows, terminal.width.unwrap_or(usize::MAX), &paint);
+    if !rows.is_empty() {
+        text.push('\n');
+    }
+    for note in session::cut_names(plan.graph) {
+        text += &format!("note: {note}\n");
+    }
+    let width = terminal.width.unwrap_or(usize::MAX);
+    text + &columns::wrap(&(summary(plan) + &time_left(plan, estimates)), width).join("\n") + "\n"
+}
+
+fn heading(plan: &Plan<'_>, terminal: Terminal) -> String {
+    let title = format!("{}, profile {}", plan.graph.pipeline, plan.graph.profile);
+    let stages = count(plan.graph.stages.node_count(), "stage");
+    format!("{}: {stages}\n\n", terminal.paint(Style::Strong, &title))
+}
+
+fn summary(plan: &Plan<'_>) -> String {
+    let Counts { cached, run, depends } = plan.counts();
+    if run + depends == 0 {
+        return format!("nothing to run: {} cached", count(cached, "stage"));
+    }
+    let mut text = format!("{} to run", count(run, "stage"));
+    if depends > 0 {
+        text += &format!(", {depends} behind them (they run unless their inputs come out as before)");
+    }
+    text + &format!(", {cached} cached")
+}
+
+/// How long all that is stale will take here, where earlier runs tell; shorter times than a second are not worth a word.
+fn time_left(plan: &Plan<'_>, estimates: &Estimates) -> String {
+    let threads = Options::default().threads;
+    let (time, unknown) = estimates.together(plan, threads, |stage| is_stale(plan, stage));
+    if time.as_secs() == 0 {
+        return String::new();
+    }
+    let besides = if unknown > 0 { format!(", and {unknown} of unknown length") } else { String::new() };
+    format!("; about {} on {}{besides}", estimate(time), count(threads, "thread"))
+}
+
+fn is_stale(plan: &Plan<'_>, stage: StageIndex) -> bool {
+    !matches!(plan.verdict(stage), Some(Verdict::Cached { .. }))
+}
+
+fn as_json(plan: &Plan<'_>, estimates: &Estimates) -> Value {
+    let id = |index: &StageIndex| plan.graph.stages.node_weight(*index).map(|stage| stage.id.to_string());
+    let stages: Vec<Value> = plan
+        .steps
+        .iter()
+        .map(|(index, verdict)| {
+            let mut entry = match verdict {
+                Verdict::Cached { key, .. } => json!({ "verdict": "cached", "key": key.hex() }),
+                Verdict::Run { key, why } => {
+                    json!({ "verdict": "run", "key": key.hex(), "why": reasons(why) })
+                }
+                Verdict::DependsOn { stages, why } => {
+                    let stages: Vec<_> = stages.iter().filter_map(id).collect();
+                    json!({ "verdict": "depends-on", "depends_on": stages, "why": reasons(why) })
+                }
+            };
+            if let Some(stage) = plan.graph.stages.node_weight(*index) {
+                entry["stage"] = json!(*stage.id);
+                entry["kind"] = json!(stage.kind.name());
+                if let Some(takes) = estimates.stage(*index) {
+                    entry["estimate"] = json!(takes.as_secs_f64());
+                }
+            }
+            entry
+        })
+        .collect();
+    let Counts { cached, run, depends } = plan.counts();
+    json!({
+        "pipeline": plan.graph.pipeline,
+        "profile": plan.graph.profile,
+        "counts": { "cached": cached, "run": run, "depends_on": depends },
+        "notes": session::cut_names(plan.graph),
+        "stages": stages,
+    })
+}
+
+fn reasons(reasons: &[plan::Reason]) -> Vec<Value> {
+    reasons.iter().map(why::json).collect()
+}

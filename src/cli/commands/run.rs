@@ -1,0 +1,121 @@
+//! `dril-pipe run`: brings every stage of a pipeline up to date and copies its results.
+
+use std::process::ExitCode;
+use std::time::{Duration, Instant};
+
+use dril_stage_api::Registry;
+
+use super::{page, plan, recheck};
+use crate::cli::args::RunArgs;
+use crate::cli::report::{self, Ending};
+use crate::cli::terminal::{Style, Terminal, count, duration, print, shown};
+use crate::cli::{pipeline, resources, signals};
+use crate::error::{Error, ErrorKind, exit_codes};
+use crate::exec::{self, ChildRunner, Executed, Options};
+use crate::session::{LockMode, UpToDate};
+
+pub(in crate::cli) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Error> {
+    let began = Instant::now();
+    let options = options(args, began)?;
+    let session = pipeline::session(&args.pipeline, &args.store, registry)?
+        .selection(args.select.selection())
+        .lock(lock_mode(args))
+        .options(options.clone());
+    let session = match &args.out {
+        Some(folder) => session.results_folder(folder),
+        None => session,
+    };
+    if !(args.check_determinism || args.json || args.dry_run)
+        && let Some(found) = session.up_to_date()?
+    {
+        if !args.quiet {
+            print(&nothing_to_do(&found, began.elapsed()))?;
+        }
+        return Ok(ExitCode::SUCCESS);
+    }
+    let loaded = session.load()?;
+    let plan = loaded.plan()?;
+    if args.dry_run {
+        plan::show(&plan, session.store(), args.json, false)?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    let prepared = loaded.prepare(plan)?;
+    let mut reporter = report::choose(args, loaded.graph());
+    reporter.planned(prepared.plan(), options.threads);
+    let runner = runner()?;
+    let stop = signals::stop_flag()?;
+    let finished = prepared.execute(&runner, &stop, &mut |event| reporter.event(event))?;
+    // The work is done and in the store: its end is reported, even if copying the results failed.
+    let error = finished.error.as_ref();
+    let mut code = error.map_or_else(|| exit_code(&finished.executed), |error| error.kind().exit_code());
+    reporter.ended(&Ending { finished: &finished, exit_code: code });
+    page::after_run(args, loaded.whole_graph(), session.store(), &finished.folder);
+    if args.check_determinism && code == exit_codes::OK {
+        drop(reporter);
+        code = recheck::main(args, loaded.graph(), session.store(), &runner, &options, &stop)?;
+    }
+    Ok(ExitCode::from(code))
+}
+
+fn lock_mode(args: &RunArgs) -> LockMode {
+    match (args.lock, args.locked) {
+        (true, _) => LockMode::Write,
+        (_, true) => LockMode::Check,
+        _ => LockMode::Update,
+    }
+}
+
+fn runner() -> Result<ChildRunner, Error> {
+    // While it runs stages, this program starts no other processes.
+    exec::claim_all_children();
+    ChildRunner::this_program().map_err(|error| {
+        Error::new(ErrorKind::Io, format!("cannot find the path of this executable: {error}"))
+    })
+}
+
+fn options(args: &RunArgs, began: Instant) -> Result<Options, Error> {
+    // Stages run in folders of their own.
+    let curves = args.tensorboard.as_ref().map(std::path::absolute).transpose().map_err(|error| {
+        Error::new(ErrorKind::Io, format!("`--tensorboard`: cannot determine the current folder: {error}"))
+    })?;
+    let mut options = Options {
+        checkpoint_seconds: args.checkpoint_every,
+        curves,
+        keep_going: !args.fail_fast,
+        deadline: args.time.and_then(|time| began.checked_add(time)),
+        resources: resources::units(&args.resources)?,
+        ..Options::default()
+    };
+    if let Some(jobs) = args.jobs {
+        options.threads = jobs.get();
+    }
+    Ok(options)
+}
+
+/// A stop outranks a failure: the run is not over, and the next one retries what failed anyway.
+fn exit_code(executed: &Executed) -> u8 {
+    let outcome = &executed.outcome;
+    if outcome.is_complete() {
+        exit_codes::OK
+    } else if outcome.out_of_time {
+        exit_codes::OUT_OF_TIME
+    } else if outcome.stopped > 0 {
+        exit_codes::INTERRUPTED
+    } else {
+        exit_codes::STAGE_FAILED
+    }
+}
+
+/// The same text as that of a planned run without work.
+fn nothing_to_do(found: &UpToDate, took: Duration) -> String {
+    let terminal = Terminal::stdout();
+    let title = terminal.paint(Style::Strong, &format!("{}, profile {}", found.pipeline, found.profile));
+    let stages = usize::try_from(found.stages).unwrap_or(usize::MAX);
+    let nothing = terminal.paint(Style::Good, "nothing to do");
+    let mut text = format!("{title}: {}, {stages} cached\n", count(stages, "stage"));
+    text += &format!("{nothing}: 0 stages executed, all {stages} cached, in {}\n", duration(took));
+    if let Some(folder) = &found.results {
+        text += &format!("results: {} ({})\n", shown(folder), count(found.result_files, "file"));
+    }
+    text
+}
