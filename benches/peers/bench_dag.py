@@ -254,5 +254,6 @@ def main():
             if "leaf" in sc: go("leaf", a.repeat, lambda: e.touch((d.b - 1, 0), 1))
             if "cutoff" in sc: go("cutoff", 1, lambda: e.touch((0, 0), 10))
             if "noop2" in sc: go("noop2", 1)
-        with open(a.out, "a") as f: f.write(json.dumps(res) + "\n")
+        pathlib.Path(a.out).parent.mkdir(parents=True, exist_ok=True)
+    with open(a.out, "a") as f: f.write(json.dumps(res) + "\n")
 main()
