@@ -112,6 +112,35 @@ pub struct Step {
     pub outcome: Outcome,
 }
 
+/// Where the body that an agent moves is, in the environment's own units of length.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pose {
+    /// Along the horizontal axis.
+    pub x: f64,
+    /// Along the vertical axis, upwards.
+    pub y: f64,
+    /// Radians, counter-clockwise, not wrapped.
+    pub angle: f64,
+    /// Units of length per second.
+    pub speed: f64,
+}
+
+impl Pose {
+    /// A pose with the speed of this velocity.
+    pub(crate) fn new([x, y]: [f64; 2], angle: f64, [vx, vy]: [f64; 2]) -> Self {
+        Self { x, y, angle, speed: (vx * vx + vy * vy).sqrt() }
+    }
+}
+
+/// A line of the world that stays where it is for an episode: the side of a track, the ground.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MapLine {
+    /// What it is.
+    pub name: &'static str,
+    /// Its points in order, in the units of [`Pose`]; a closed line ends with its first point.
+    pub points: Vec<[f64; 2]>,
+}
+
 /// One observation without its history.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Frame<'a> {
@@ -209,6 +238,16 @@ pub trait Env: Send {
     /// # Errors
     /// A size that cannot be drawn, or an environment that has no picture.
     fn render(&mut self, width: usize, height: usize) -> Result<Picture, EnvError>;
+
+    /// Where the agent's body is; `None` where the environment does not say, and before the first episode.
+    fn pose(&self) -> Option<Pose> {
+        None
+    }
+
+    /// The lines of the running episode's world; none where the environment does not say.
+    fn map(&self) -> Vec<MapLine> {
+        Vec::new()
+    }
 }
 
 /// The action with its values clamped to [-1, 1].

@@ -39,7 +39,9 @@ pub use artifacts::DEMONSTRATIONS;
 pub use config::{CarRacingConfig, CarRacingVersion, EnvConfig, LunarLanderConfig};
 pub use demos::{ActionRange, Demonstrations, DemosError, DemosHeader, Episode};
 pub use drive::{Drive, DriveParams};
-pub use env::{ActionSpace, Env, EnvSnapshot, Frame, ObservationSpace, Outcome, OwnedFrame, Step};
+pub use env::{
+    ActionSpace, Env, EnvSnapshot, Frame, MapLine, ObservationSpace, Outcome, OwnedFrame, Pose, Step,
+};
 pub use error::EnvError;
 pub use picture::Picture;
 pub use stack::FrameStack;

@@ -14,7 +14,9 @@ mod ensemble;
 mod evaluate;
 mod on_policy;
 mod ppo;
+mod probe;
 mod replay;
+mod trace;
 mod update;
 
 pub use bc::{Bc, BcParams, Split, Validation};
@@ -26,7 +28,9 @@ pub use ensemble::{Bootstrap, Ensemble, EnsembleParams};
 pub use evaluate::{Counted, Evaluate, EvaluateParams};
 pub use on_policy::{EPISODE_COLUMNS, OnPolicyParams};
 pub use ppo::{Ppo, PpoParams};
+pub use probe::{Probe, ProbeParams};
 pub use replay::REPLAY;
+pub use trace::{Trace, TraceParams};
 pub use update::UpdateSettings;
 
 use dril_stage_api::Kind;
@@ -35,7 +39,7 @@ use dril_stage_api::Kind;
 pub const WORKER: &str = "dril-pipe-learn";
 
 /// All of them, to plan with.
-pub const KINDS: [Kind; 7] = [
+pub const KINDS: [Kind; 9] = [
     Kind::run_by::<Ppo>(WORKER),
     Kind::run_by::<Evaluate>(WORKER),
     Kind::run_by::<Collect>(WORKER),
@@ -43,6 +47,8 @@ pub const KINDS: [Kind; 7] = [
     Kind::run_by::<Bc>(WORKER),
     Kind::run_by::<Ensemble>(WORKER),
     Kind::run_by::<Dril>(WORKER),
+    Kind::run_by::<Trace>(WORKER),
+    Kind::run_by::<Probe>(WORKER),
 ];
 
 #[cfg(test)]

@@ -5,7 +5,7 @@ use dril_stage_api::ParamProblem;
 use serde_json::{Value, json};
 
 /// For each kind, what has to be set.
-fn required() -> [(&'static str, Value); 7] {
+fn required() -> [(&'static str, Value); 9] {
     let env = json!({ "car-racing": {} });
     [
         ("ppo", json!({ "env": env, "policy": "gaussian" })),
@@ -15,6 +15,8 @@ fn required() -> [(&'static str, Value); 7] {
         ("bc", json!({ "policy": "beta" })),
         ("ensemble", json!({})),
         ("dril", json!({ "env": env })),
+        ("trace", json!({})),
+        ("probe", json!({})),
     ]
 }
 
@@ -227,4 +229,32 @@ fn dril_writes_the_weights_before_and_after_the_best_update() {
 fn the_reward_may_be_constant() {
     assert_eq!(normalize("dril", &json!({ "reward": "constant" })).unwrap()["reward"], "constant");
     assert_eq!(normalize("dril", &json!({})).unwrap()["reward"], "plus-minus-one");
+}
+
+#[test]
+fn a_trace_has_the_inputs_of_what_it_traces_and_draws_only_what_is_asked_for() {
+    let ports = |params: &Value| {
+        let ports = kind("trace").ports(&normalize("trace", params).unwrap()).unwrap();
+        let names = |all: Vec<&'static str>| all.join(" ");
+        (
+            names(ports.inputs.iter().map(|input| input.name).collect()),
+            names(ports.outputs.iter().map(|output| output.name).collect()),
+        )
+    };
+    let played = ports(&json!({ "env": { "car-racing": {} }, "video": true }));
+    assert_eq!(played, ("policy demonstrations ensemble".into(), "steps map strip video".into()));
+    assert_eq!(ports(&json!({})), ("demonstrations ensemble".into(), "steps map".into()));
+    assert_eq!(wrong_fields("trace", &json!({ "replay": false, "video": true })), ["video"]);
+    assert_eq!(wrong_fields("trace", &json!({ "episodes": 0, "steps": 0 })), ["episodes", "steps"]);
+}
+
+#[test]
+fn a_probe_of_a_new_agent_reads_no_policy() {
+    let inputs = |params: &Value| {
+        let ports = kind("probe").ports(&normalize("probe", params).unwrap()).unwrap();
+        ports.inputs.iter().map(|input| input.name).collect::<Vec<_>>()
+    };
+    assert_eq!(inputs(&json!({})), ["policy", "demonstrations"]);
+    assert_eq!(inputs(&json!({ "fresh": "beta", "network": "expert-cnn" })), ["demonstrations"]);
+    assert_eq!(wrong_fields("probe", &json!({ "network": "mlp", "draws": 0 })), ["draws", "network"]);
 }

@@ -30,7 +30,7 @@ use dril_stage_api::Kind;
 use worker::Prepared;
 
 /// The stage kinds of this crate, as [`dril_kinds::KINDS`] describes them.
-pub const KINDS: [Kind; 7] = [
+pub const KINDS: [Kind; 9] = [
     Kind::of::<Prepared<algorithms::ppo_stage::PpoStage>>(),
     Kind::of::<Prepared<play::evaluate::EvaluateStage>>(),
     Kind::of::<Prepared<play::collect::CollectStage>>(),
@@ -38,4 +38,6 @@ pub const KINDS: [Kind; 7] = [
     Kind::of::<Prepared<algorithms::bc::BcStage>>(),
     Kind::of::<Prepared<algorithms::ensemble::EnsembleStage>>(),
     Kind::of::<Prepared<algorithms::dril::DrilStage>>(),
+    Kind::of::<Prepared<play::trace::TraceStage>>(),
+    Kind::of::<Prepared<play::probe::ProbeStage>>(),
 ];

@@ -29,7 +29,7 @@ use rand::Rng;
 use crate::played::{Game, Played};
 use crate::preprocess::{self, FULL, SIDE};
 use crate::{
-    ActionSpace, CarRacingConfig, Env, EnvError, EnvSnapshot, Frame, ObservationSpace, Picture, Step,
+    ActionSpace, CarRacingConfig, Env, EnvError, EnvSnapshot, Frame, MapLine, ObservationSpace, Picture, Step,
 };
 use car::Controls;
 use render::{Output, Renderer};
@@ -176,6 +176,21 @@ impl Env for CarRacing {
         let mut renderer = Renderer::averaged(self.config.version, Output::Rgb, size);
         renderer.draw(episode.game.track(), &episode.game.scene());
         Ok(Picture { width, height, rgb: renderer.pixels().to_vec() })
+    }
+
+    fn pose(&self) -> Option<crate::Pose> {
+        let car = self.simulation()?.car();
+        let hull = car.hull();
+        Some(crate::Pose::new(hull.position, car.world().hull_angle(), hull.velocity))
+    }
+
+    fn map(&self) -> Vec<MapLine> {
+        let Some(simulation) = self.simulation() else { return Vec::new() };
+        let side = |name, corner: usize| {
+            let tiles = &simulation.track().tiles;
+            MapLine { name, points: tiles.iter().chain(tiles.first()).map(|tile| tile[corner]).collect() }
+        };
+        vec![side("left", 0), side("right", 1)]
     }
 }
 

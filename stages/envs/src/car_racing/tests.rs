@@ -215,3 +215,26 @@ fn both_versions_show_grass_road_and_car_at_their_places() {
         assert_eq!(around(75, 80), 0, "{version:?}: the bar");
     }
 }
+
+#[test]
+fn the_car_starts_between_the_lines_of_its_map_and_its_pose_moves_as_fast_as_it_says() {
+    let mut env = env(1000);
+    assert!(env.pose().is_none() && env.map().is_empty(), "there is no episode yet");
+    env.reset(4).unwrap();
+    let (start, map) = (env.pose().unwrap(), env.map());
+    assert_eq!(map.iter().map(|line| line.name).collect::<Vec<_>>(), ["left", "right"]);
+    for line in &map {
+        assert_eq!(line.points.first(), line.points.last(), "a closed line");
+        let distance = |[x, y]: &[f64; 2]| (x - start.x).hypot(y - start.y);
+        let nearest = line.points.iter().map(distance).reduce(f64::min).unwrap();
+        assert!(nearest < 3.0 * track::HALF_WIDTH, "{nearest}");
+    }
+    for _ in 0..50 {
+        env.step(&[0.0, 1.0]).unwrap();
+    }
+    let before = env.pose().unwrap();
+    env.step(&[0.0, 1.0]).unwrap();
+    let after = env.pose().unwrap();
+    let way = (after.x - before.x).hypot(after.y - before.y);
+    assert!((way * 50.0 / after.speed - 1.0).abs() < 0.05, "{way} {}", after.speed);
+}

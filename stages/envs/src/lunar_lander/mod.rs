@@ -18,7 +18,8 @@ use rand::Rng;
 
 use crate::played::{Game, Played};
 use crate::{
-    ActionSpace, Env, EnvError, EnvSnapshot, Frame, LunarLanderConfig, ObservationSpace, Picture, Step,
+    ActionSpace, Env, EnvError, EnvSnapshot, Frame, LunarLanderConfig, MapLine, ObservationSpace, Picture,
+    Step,
 };
 use simulation::{Draws, OBSERVED, Simulation};
 use terrain::MOST_HEIGHT;
@@ -142,6 +143,20 @@ impl Env for LunarLander {
     fn render(&mut self, width: usize, height: usize) -> Result<Picture, EnvError> {
         let episode = self.episode.as_ref().ok_or(EnvError::NotStarted)?;
         picture::draw(&episode.game.simulation, width, height)
+    }
+
+    fn pose(&self) -> Option<crate::Pose> {
+        let [lander, _, _] = self.simulation()?.motions();
+        let [position, velocity] = [lander.position, lander.velocity].map(|pair| pair.map(f64::from));
+        Some(crate::Pose::new(position, f64::from(lander.angle), velocity))
+    }
+
+    fn map(&self) -> Vec<MapLine> {
+        let ground = |simulation: &Simulation| MapLine {
+            name: "ground",
+            points: simulation.terrain().points.to_vec(),
+        };
+        self.simulation().map(ground).into_iter().collect()
     }
 }
 

@@ -173,3 +173,20 @@ fn the_picture_shows_sky_ground_flags_lander_and_flame() {
     }
     assert!(env.render(0, 10).is_err() && env.render(10, 100_000).is_err());
 }
+
+#[test]
+fn the_lander_falls_towards_the_ground_of_its_map() {
+    let mut env = env(1000);
+    assert!(env.pose().is_none() && env.map().is_empty(), "there is no episode yet");
+    env.reset(4).unwrap();
+    let map = env.map();
+    assert_eq!((map.len(), map[0].name, map[0].points.len()), (1, "ground", terrain::POINTS));
+    let highest = map[0].points.iter().map(|[_, y]| *y).reduce(f64::max).unwrap();
+    let start = env.pose().unwrap();
+    for _ in 0..20 {
+        env.step(&[-1.0, 0.0]).unwrap();
+    }
+    let later = env.pose().unwrap();
+    assert!(start.y > later.y && later.y > highest, "{start:?} {later:?} {highest}");
+    assert!(later.speed > 0.0);
+}

@@ -132,7 +132,10 @@ fn odd_action(choices: Option<usize>, episode: &Episode) -> Option<String> {
 }
 
 /// What was seen before each action of an episode.
-fn frames_of<'a>(episode: &'a Episode, space: &ObservationSpace) -> Box<dyn Iterator<Item = Frame<'a>> + 'a> {
+pub(crate) fn frames_of<'a>(
+    episode: &'a Episode,
+    space: &ObservationSpace,
+) -> Box<dyn Iterator<Item = Frame<'a>> + 'a> {
     let len = space.frame_len().max(1);
     match space {
         ObservationSpace::Image { .. } => Box::new(episode.frames.chunks_exact(len).map(Frame::Image)),

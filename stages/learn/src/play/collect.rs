@@ -1,6 +1,6 @@
 //! The stage that records the episodes in which an expert did well.
 
-use dril_envs::{ActionRange, Demonstrations, DemosHeader, Episode};
+use dril_envs::{ActionRange, Demonstrations, DemosHeader, EnvConfig, Episode};
 use dril_kinds::{Collect, CollectParams, Mode, PolicyFamily};
 use dril_stage_api::{Ctx, Stage, StageError};
 
@@ -24,7 +24,7 @@ impl Stage for CollectStage {
         };
         let mut player = Player::new(&policy, &params.env, play, ctx.seed())?;
         let kept = choose(&mut player, params, ctx)?;
-        let header = header(params, &policy)?;
+        let header = header(&params.env, params.mode, &policy)?;
         let demonstrations = Demonstrations { header, episodes: kept.into_iter().map(episode).collect() };
         demonstrations.write(ctx.output("demonstrations")?).map_err(StageError::failed)
     }
@@ -94,17 +94,18 @@ fn enough(mut attempts: Attempts, params: &CollectParams) -> Result<Vec<PlayedEp
     Ok(attempts.kept)
 }
 
-fn header(params: &CollectParams, policy: &Policy) -> Result<DemosHeader, StageError> {
+/// What a recording of this agent in this environment says of itself.
+pub(super) fn header(env: &EnvConfig, mode: Mode, policy: &Policy) -> Result<DemosHeader, StageError> {
     let architecture = policy.architecture();
     Ok(DemosHeader {
-        env: params.env.clone(),
-        observation_space: params.env.spaces().map_err(StageError::failed)?.0,
+        env: env.clone(),
+        observation_space: env.spaces().map_err(StageError::failed)?.0,
         action_dims: architecture.action_len(),
         action_range: match architecture.family {
             PolicyFamily::Gaussian | PolicyFamily::Categorical => ActionRange::Raw,
             PolicyFamily::Beta => ActionRange::Bounded,
         },
-        mode: match params.mode {
+        mode: match mode {
             Mode::Deterministic => "deterministic",
             Mode::Stochastic => "stochastic",
         }
@@ -112,7 +113,8 @@ fn header(params: &CollectParams, policy: &Policy) -> Result<DemosHeader, StageE
     })
 }
 
-fn episode(played: PlayedEpisode) -> Episode {
+/// An episode that was played with [`Play::record`], as a recording has it.
+pub(super) fn episode(played: PlayedEpisode) -> Episode {
     Episode {
         seed: played.seed,
         score: played.score,
@@ -126,7 +128,7 @@ fn episode(played: PlayedEpisode) -> Episode {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use dril_envs::{EnvConfig, Outcome};
+    use dril_envs::Outcome;
     use dril_kinds::Network;
     use dril_stage_api::Seed;
     use dril_stage_api::testing::Bench;

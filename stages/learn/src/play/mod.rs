@@ -3,4 +3,7 @@
 pub mod act;
 pub mod collect;
 pub mod evaluate;
+pub mod probe;
 pub mod replay;
+pub mod trace;
+mod walk;

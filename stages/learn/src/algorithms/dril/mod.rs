@@ -7,7 +7,7 @@
 mod cloning;
 pub mod disagreement;
 mod peak;
-mod signal;
+pub(crate) mod signal;
 #[cfg(test)]
 mod tests;
 mod u_signal;

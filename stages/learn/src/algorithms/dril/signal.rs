@@ -55,22 +55,7 @@ impl<'a> Signal<'a> {
         pairs: &Pairs,
         params: &DrilParams,
     ) -> Result<Self, StageError> {
-        let all: Vec<usize> = (0..pairs.len()).collect();
-        let (threshold, thresholds) = match ensemble.architecture().actions {
-            ActionSpace::Continuous { .. } => {
-                let costs = costs(ensemble, pairs.frames(), &all, &pairs.actions(&all))?;
-                (quantile(&costs, params.quantile), Vec::new())
-            }
-            ActionSpace::Discrete { .. } => {
-                let mut own = choice_thresholds(ensemble, pairs, params.quantile)?;
-                if let (Thresholds::LastChoice, Some(last)) = (params.thresholds, own.last().copied()) {
-                    own.fill(last);
-                }
-                (own.last().copied(), own)
-            }
-        };
-        let threshold = threshold
-            .ok_or_else(|| StageError::failed("there is no demonstrated pair to take a threshold from"))?;
+        let (threshold, thresholds) = limits(ensemble, pairs, params.quantile, params.thresholds)?;
         let (envs, gamma) = (params.on_policy.n_envs as usize, params.on_policy.gamma);
         let normalizer = params.on_policy.normalize_reward.then(|| RewardNormalizer::new(envs, gamma));
         let state = SignalState { threshold, thresholds, u_signal: USignal::new(envs), normalizer };
@@ -116,13 +101,47 @@ impl<'a> Signal<'a> {
 impl SignalState {
     /// The threshold for an action.
     fn limit(&self, action: &[f32]) -> f64 {
-        let choice = action.first().map_or(0, |choice| *choice as usize);
-        self.thresholds.get(choice).copied().unwrap_or(self.threshold)
+        limit(self.threshold, &self.thresholds, action)
     }
 }
 
+/// The cost above which the members count as disagreeing: one for all actions, and one for each choice (none where
+/// actions are numbers). It is a quantile of the cost over all demonstrated pairs.
+pub(crate) fn limits(
+    ensemble: &Ensemble,
+    pairs: &Pairs,
+    q: f64,
+    thresholds: Thresholds,
+) -> Result<(f64, Vec<f64>), StageError> {
+    let all: Vec<usize> = (0..pairs.len()).collect();
+    let (threshold, thresholds) = match ensemble.architecture().actions {
+        ActionSpace::Continuous { .. } => {
+            let costs = costs(ensemble, pairs.frames(), &all, &pairs.actions(&all))?;
+            (quantile(&costs, q), Vec::new())
+        }
+        ActionSpace::Discrete { .. } => {
+            // The quantile of each choice's cost over all pairs, whichever choice was made there (thesis figure 17).
+            let costs = choice_costs(ensemble, pairs.frames(), &all)?;
+            let mut own: Vec<f64> = costs.iter().filter_map(|costs| quantile(costs, q)).collect();
+            if let (Thresholds::LastChoice, Some(last)) = (thresholds, own.last().copied()) {
+                own.fill(last);
+            }
+            (own.last().copied(), own)
+        }
+    };
+    let threshold = threshold
+        .ok_or_else(|| StageError::failed("there is no demonstrated pair to take a threshold from"))?;
+    Ok((threshold, thresholds))
+}
+
+/// The limit for an action, of those that [`limits`] gives.
+pub(crate) fn limit(threshold: f64, thresholds: &[f64], action: &[f32]) -> f64 {
+    let choice = action.first().map_or(0, |choice| *choice as usize);
+    thresholds.get(choice).copied().unwrap_or(threshold)
+}
+
 /// The cost of each sample's action.
-fn costs(
+pub(crate) fn costs(
     ensemble: &Ensemble,
     frames: &FrameStore,
     slots: &[usize],
@@ -147,16 +166,19 @@ fn costs(
     }
 }
 
-/// The quantile of each choice's cost over all pairs, whichever choice was made there (thesis figure 17).
-fn choice_thresholds(ensemble: &Ensemble, pairs: &Pairs, q: f64) -> Result<Vec<f64>, StageError> {
-    let all: Vec<usize> = (0..pairs.len()).collect();
+/// The cost of every choice in each of these slots, [choice][slot].
+pub(crate) fn choice_costs(
+    ensemble: &Ensemble,
+    frames: &FrameStore,
+    slots: &[usize],
+) -> Result<Vec<Vec<f64>>, StageError> {
     let mut costs: Vec<Vec<f64>> = vec![Vec::new(); ensemble.architecture().actions.outputs()];
-    for_batches(ensemble, pairs.frames(), &all, |outputs| {
+    for_batches(ensemble, frames, slots, |outputs| {
         for (choice, costs) in costs.iter_mut().enumerate() {
             costs.extend((0..outputs.samples()).map(|sample| outputs.discrete_cost(sample, choice)));
         }
     })?;
-    Ok(costs.iter().filter_map(|costs| quantile(costs, q)).collect())
+    Ok(costs)
 }
 
 /// What the ensemble answers to the observations in these slots, batch by batch. The encoder sees every observation
