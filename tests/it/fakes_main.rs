@@ -13,6 +13,7 @@ use std::sync::atomic::AtomicBool;
 
 use dril_pipe::exec::{self, ChildRunner, Options};
 use dril_pipe::{plan, store::Store};
+use dril_stage_api::outcome::Outcome;
 
 fn main() -> ExitCode {
     let arguments: Vec<_> = std::env::args_os().collect();
@@ -40,7 +41,7 @@ fn main() -> ExitCode {
 const MARK: &str = "<!-- page -->\n";
 
 /// A page that says what it was handed.
-fn page(outcome: &dril_stage_api::outcome::Outcome) -> Result<String, dril_stage_api::StageError> {
+fn page(outcome: &Outcome, other: Option<(&str, &Outcome)>) -> Result<String, dril_stage_api::StageError> {
     let first = outcome.first_profile.as_deref().unwrap_or("none");
     let command = outcome.command.join(" ");
     let mut page = format!("{MARK}{} {} of {first}, {command}\n", outcome.pipeline, outcome.profile);
@@ -56,6 +57,17 @@ fn page(outcome: &dril_stage_api::outcome::Outcome) -> Result<String, dril_stage
             page.extend(output.file.iter().map(|file| format!(" file {file}")));
         }
         page.push('\n');
+    }
+    if let Some((name, other)) = other {
+        page += &format!("against {name}\n");
+        for stage in &other.stages {
+            page += &format!(
+                "{}: {:?} {:?}\n",
+                stage.id,
+                stage.labels,
+                stage.outputs.iter().map(|o| o.bytes).collect::<Vec<_>>()
+            );
+        }
     }
     Ok(page)
 }

@@ -65,3 +65,33 @@ fn a_program_without_the_package_that_writes_pages_says_so() {
     let ended = sealed.run("report p.yaml");
     assert!(ended.code == 2 && ended.stderr.contains("built without the stage packages"), "{ended:?}");
 }
+
+#[test]
+fn a_report_compares_with_an_earlier_run_or_with_an_archive() {
+    let sealed = Sealed::with(WORDS);
+    assert_eq!(run(&sealed, "run p.yaml").code, 0);
+    assert_eq!(run(&sealed, "cache export last --out run.zip").code, 0);
+    let of = |word: &str| {
+        let done = run(&sealed, &format!("report p.yaml --against {word}"));
+        assert_eq!(done.code, 0, "{done:?}");
+        let page = sealed.read("results/words-full/report.html");
+        let (_, other) = page.split_once("against ").unwrap();
+        let (name, stages) = other.split_once('\n').unwrap();
+        let mut stages: Vec<&str> = stages.lines().collect();
+        stages.sort_unstable();
+        (name.to_owned(), stages.join("\n"))
+    };
+    let (run_name, stages) = of("last");
+    assert!(run_name.len() > 8, "{run_name}");
+    assert!(stages.contains("count[word=two]: [(\"word\", \"two\")]"), "{stages}");
+    let (archive, exported) = of("run.zip");
+    assert_eq!((archive.as_str(), exported), ("run.zip", stages));
+}
+
+#[test]
+fn a_report_against_a_run_that_is_not_there_says_how_to_find_one() {
+    let sealed = Sealed::with(WORDS);
+    assert_eq!(run(&sealed, "run p.yaml").code, 0);
+    let ended = run(&sealed, "report p.yaml --against 1999");
+    assert!(ended.code == 2 && ended.stderr.contains("dril-pipe runs"), "{ended:?}");
+}

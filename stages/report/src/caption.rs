@@ -1,4 +1,4 @@
-//! What stands around a Markdown table: title, profile, and what its numbers are.
+//! The text around a Markdown table: title, profile, and the meaning of its numbers.
 
 use dril_stage_api::Problems;
 

@@ -1,7 +1,7 @@
-//! The kind `compare`: the same agents under two or more conditions, on the same tracks, side by side with their ratio.
+//! The kind `compare`: the same agents under two or more conditions, on the same tracks, with ratios and paired differences.
 //!
-//! Episodes on equal tracks are pairs, and the mean of their differences says more than the difference of two means: what
-//! makes a track hard is the same on both sides.
+//! Episodes on equal tracks are pairs: the difficulty of a track cancels in their differences, so the mean of these is more
+//! precise than the difference of two means.
 
 use dril_stage_api::scores::{self, ScoreRow};
 use dril_stage_api::{Artifact, Ctx, Describe, InputItem, Ports, Problems, Stage, StageError};
@@ -22,16 +22,16 @@ const VALUES: [&str; 6] = ["mean", "std", "episodes", "ratio", "difference", "di
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CompareParams {
-    /// The heading.
+    /// The title.
     pub title: String,
-    /// The profile at which the table is made; printed with it.
+    /// The profile of the run; printed with the table.
     pub profile: String,
-    /// The profile whose sizes are those of the experiment. A table made at any other says that its sizes are reduced.
+    /// The profile with the sizes of the experiment. At any other the table states that its sizes are reduced.
     #[serde(default = "caption::full_profile")]
     pub full_profile: String,
     /// The label whose values are compared.
     pub axis: String,
-    /// The value that the others are measured by.
+    /// The value of the label that the others are compared with.
     pub base: String,
     /// A sentence to print under the Markdown table.
     #[serde(default)]
@@ -45,7 +45,7 @@ impl CompareParams {
     }
 }
 
-/// Puts evaluations side by side that differ in one label.
+/// Compares evaluations that differ in one label.
 ///
 /// Input: `scores`, evaluations with the label `axis`; those that agree in all other labels are compared, and must have
 /// been played on the same list of tracks.
@@ -58,8 +58,7 @@ pub struct Compare;
 impl Describe for Compare {
     const KIND: &'static str = "compare";
     const REVISION: u32 = 2;
-    const ABOUT: &'static str =
-        "put evaluations on the same tracks side by side, with ratio and paired difference";
+    const ABOUT: &'static str = "compares evaluations on the same tracks, with ratio and paired difference";
     const SEEDED: bool = false;
     type Params = CompareParams;
 
@@ -78,8 +77,8 @@ impl Describe for Compare {
 
     fn ports(_: &CompareParams) -> Ports {
         Ports::new()
-            .many(PORT, Artifact::SCORES, "the evaluations; their labels say what is compared with what")
-            .output("csv", Artifact::TABLE, "csv", "one line an evaluation")
+            .many(PORT, Artifact::SCORES, "the evaluations; they are compared by their labels")
+            .output("csv", Artifact::TABLE, "csv", "one row per evaluation")
             .output("markdown", Artifact::TABLE, "md", "the same for people")
     }
 }

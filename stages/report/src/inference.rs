@@ -1,8 +1,7 @@
-//! What means of scores say beyond the episodes that were played: 95 % intervals, and tests of differences, by the t
-//! distribution over independent values.
+//! Inference from mean scores: 95 % intervals and tests of differences, by the t distribution over independent values.
 //!
-//! Independent values are the means of trainings where there are several, and else the episodes of the one training;
-//! the latter say how this policy does on other tracks, and nothing of other trainings. Results pass through functions
+//! The independent values are the means of trainings if there are several, otherwise the episodes of the one training;
+//! the latter tell how this policy does on other tracks, and nothing about other trainings. Results pass through functions
 //! whose last bits depend on the processor, so they are to be rounded wherever they are written.
 
 use statrs::distribution::{ContinuousCDF, StudentsT};
@@ -12,7 +11,7 @@ pub const FEWEST_EPISODES: usize = 30;
 /// Fewer trainings have no interval.
 pub const FEWEST_TRAININGS: usize = 3;
 
-/// Over what an interval speaks.
+/// The population that an interval refers to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Over {
     /// Other trainings of the same kind.
@@ -32,7 +31,7 @@ pub struct Estimate {
     pub trainings: usize,
     /// How many episodes all of them have.
     pub episodes: usize,
-    /// Over what the interval speaks.
+    /// The population that the interval refers to.
     pub over: Over,
 }
 

@@ -20,15 +20,15 @@ const COLUMNS: [&str; 7] =
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LeaderboardParams {
-    /// The heading.
+    /// The title.
     pub title: String,
-    /// The profile at which the table is made; printed with it.
+    /// The profile of the run; printed with the table.
     pub profile: String,
-    /// The profile whose sizes are those of the experiment. A table made at any other says that its sizes are reduced.
+    /// The profile with the sizes of the experiment. At any other the table states that its sizes are reduced.
     #[serde(default = "caption::full_profile")]
     pub full_profile: String,
-    /// The source whose rows of the reference stand beside this run's row of the same algorithm instead of in rows of
-    /// their own: whose experiment this run repeats.
+    /// The source that this run reproduces: its rows of the reference are merged into the rows of this run with the same
+    /// algorithm.
     #[serde(default = "caption::reference_name")]
     pub reference_name: String,
     /// A sentence to print under the Markdown table.
@@ -43,7 +43,7 @@ impl LeaderboardParams {
     }
 }
 
-/// Lists published results and this run's, one algorithm a row.
+/// Lists published results and those of this run, one row per algorithm.
 ///
 /// Inputs: `scores`, evaluations with the label `name` (evaluations of one name are pooled); `reference`, a CSV file
 /// with the columns `algorithm,mean,std,source`. First come the reference's rows in its own order, then this run's,
@@ -57,7 +57,7 @@ pub struct Leaderboard;
 impl Describe for Leaderboard {
     const KIND: &'static str = "leaderboard";
     const REVISION: u32 = 2;
-    const ABOUT: &'static str = "list published results and, under them, evaluations of this run";
+    const ABOUT: &'static str = "lists published results, followed by evaluations of this run";
     const SEEDED: bool = false;
     type Params = LeaderboardParams;
 

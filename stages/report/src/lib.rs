@@ -2,15 +2,15 @@
 //!
 //! | kind | from | to |
 //! |---|---|---|
-//! | [`Table`] | evaluations, published values | their table as CSV and as Markdown |
+//! | [`Table`] | evaluations, published values | a table as CSV and Markdown |
 //! | [`Leaderboard`] | named evaluations, published results | one list of both |
-//! | [`Compare`] | evaluations on the same tracks | side by side, with ratio and paired difference |
-//! | [`Figure`] | CSV files of any stage | their figure as SVG, and what it draws as CSV |
-//! | [`Findings`] | evaluations, claims about them | which claims hold, with intervals and tests |
+//! | [`Compare`] | evaluations on the same tracks | ratios and paired differences |
+//! | [`Figure`] | CSV files of any stage | a figure as SVG, and its values as CSV |
+//! | [`Findings`] | evaluations, claims about them | verdicts, with intervals and tests |
 //! | [`Select`] | candidates and their evaluations | the best candidate, and the ranking |
 //!
-//! All are functions of the bytes and labels of their inputs alone: no random number, no clock, and no order but
-//! the one in which the engine hands the inputs over (the order of the matrix).
+//! All are pure functions of the bytes and labels of their inputs, in the order of the matrix: no random numbers and no
+//! clock.
 
 mod caption;
 mod compare;

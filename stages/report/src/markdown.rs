@@ -1,8 +1,8 @@
-//! Markdown tables with padded columns: as pleasant in a terminal as on a page.
+//! Markdown tables with padded columns, readable in a terminal too.
 
 use crate::score::Score;
 
-/// To which side a column's text goes.
+/// The alignment of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Align {
     Left,

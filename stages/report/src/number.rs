@@ -1,6 +1,6 @@
 //! Numbers as text, the same on every machine.
 
-/// `value` with so many decimals. Never a negative zero: a mean of -0.001 is `0.00`.
+/// `value` with this many decimals. Never a negative zero: a mean of -0.001 is `0.00`.
 pub(crate) fn fixed(value: f64, decimals: usize) -> String {
     let text = format!("{value:.decimals$}");
     match text.strip_prefix('-') {

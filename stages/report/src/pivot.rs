@@ -1,4 +1,4 @@
-//! From a list of cells to a grid: some keys run down, some across, and those with one value stand above.
+//! From a list of cells to a grid: keys run down or across, and keys with a single value appear above it.
 
 use crate::caption::OURS;
 use crate::markdown::{Column, escape};

@@ -1,5 +1,5 @@
-//! Published results as a CSV file: key columns, `mean`, and `std` where one was published. Numbers are kept as they
-//! are written there.
+//! Published results as a CSV file: key columns, `mean`, and `std` if one was published. Numbers keep the digits of the
+//! file.
 
 use std::path::Path;
 
@@ -36,7 +36,8 @@ impl Reference {
     /// missing.
     ///
     /// # Errors
-    /// It cannot be read, lacks a column, has one twice, has no row, a cell that is no number, or two rows of one key.
+    /// The file cannot be read, a column is missing or duplicated, there is no row, a cell is not a number, or two rows have
+    /// the same key.
     pub(crate) fn read(path: &Path, keys: &[&str]) -> Result<Self, StageError> {
         let bytes = std::fs::read(path).map_err(StageError::io("cannot read", path))?;
         Self::parse(&bytes, keys).map_err(|message| StageError::input(PORT, path, message))

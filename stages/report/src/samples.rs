@@ -31,8 +31,8 @@ pub(crate) struct Group {
 /// Reads the evaluations at input [`PORT`], in the order of the matrix.
 ///
 /// # Errors
-/// A file that holds no scores, two evaluations with the same labels (which nothing could tell apart, and which are
-/// most often one evaluation wired twice), or a request to stop.
+/// A file has no scores, two evaluations have the same labels (most often one evaluation wired twice), or the stage was
+/// cancelled.
 pub(crate) fn read<'a>(ctx: &Ctx<'a>) -> Result<Vec<Sample<'a>>, StageError> {
     let items = ctx.inputs(PORT);
     if items.is_empty() {

@@ -18,7 +18,7 @@ const CANDIDATES: &str = "candidates";
 /// The columns that follow the labels in the ranking.
 const VALUES: [&str; 4] = ["mean", "std", "episodes", "chosen"];
 
-/// What makes a candidate the best.
+/// The criterion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum By {
@@ -31,11 +31,11 @@ pub enum By {
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct SelectParams {
-    /// What makes a candidate the best.
+    /// The criterion.
     pub by: By,
 }
 
-/// Chooses the policy whose evaluation is best; of equals, the first in the order of the matrix.
+/// Selects the policy with the best evaluation. Ties go to the first in the order of the matrix.
 ///
 /// Inputs: `candidates`, any number of policies, and `scores`, one evaluation for each; the two are matched by equal
 /// labels, whatever their order.
@@ -48,7 +48,7 @@ pub struct Select;
 impl Describe for Select {
     const KIND: &'static str = "select";
     const REVISION: u32 = 1;
-    const ABOUT: &'static str = "choose the policy whose evaluation is best";
+    const ABOUT: &'static str = "selects the policy with the best evaluation";
     const SEEDED: bool = false;
     type Params = SelectParams;
 

@@ -1,6 +1,6 @@
-//! The kind `table`: evaluations by their labels, beside published values.
+//! The kind `table`: evaluations by their labels, next to published values.
 //!
-//! The CSV has one line a combination of keys and is meant for programs; the Markdown is the same as a grid for people.
+//! The CSV has one row per combination of keys; the Markdown shows the same as a grid.
 
 use dril_stage_api::{Artifact, Ctx, Describe, Ports, Problems, Stage, StageError};
 use schemars::JsonSchema;
@@ -20,20 +20,20 @@ const VALUES: [&str; 6] = ["mean", "std", "episodes", "diverged", "reference_mea
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TableParams {
-    /// The heading.
+    /// The title.
     pub title: String,
-    /// The profile at which the table is made; printed with it.
+    /// The profile of the run; printed with the table.
     pub profile: String,
-    /// The profile whose sizes are those of the experiment. A table made at any other says that its sizes are reduced.
+    /// The profile with the sizes of the experiment. At any other the table states that its sizes are reduced.
     #[serde(default = "caption::full_profile")]
     pub full_profile: String,
-    /// The labels that tell the cells apart: the first columns of the CSV, in this order. Evaluations that differ in
-    /// other labels only (seeds, say) are pooled: their episodes count as those of one cell.
+    /// The labels that identify a cell: the first columns of the CSV, in this order. Evaluations that differ only in other
+    /// labels, such as a seed, are pooled into one cell.
     pub keys: Vec<String>,
-    /// The keys that run across in the Markdown table, the outer one first; the others run down.
+    /// The keys that run across the Markdown table, outermost first; the others run down.
     #[serde(default)]
     pub columns: Vec<String>,
-    /// Whose numbers the input `reference` has: what its rows are called in the Markdown table.
+    /// The source of the published values, as the Markdown table names it.
     #[serde(default = "caption::reference_name")]
     pub reference_name: String,
     /// A sentence to print under the Markdown table.
@@ -64,7 +64,7 @@ pub struct Table;
 impl Describe for Table {
     const KIND: &'static str = "table";
     const REVISION: u32 = 2;
-    const ABOUT: &'static str = "tabulate evaluations by their labels, beside published values";
+    const ABOUT: &'static str = "tabulates evaluations by their labels, next to published values";
     const SEEDED: bool = false;
     type Params = TableParams;
 

@@ -1,6 +1,7 @@
 //! The page about a pipeline's results: `dril-pipe report`, and the end of every run. A stage package writes the page;
 //! here its facts are collected, and its file is kept.
 
+mod against;
 mod collect;
 
 use std::path::Path;
@@ -18,12 +19,13 @@ use crate::fsx;
 use crate::resolve::Graph;
 use crate::session;
 use crate::store::Store;
+use against::Other;
 
 /// The name of the page in the results folder.
 const FILE: &str = "report.html";
 
-/// Writes a page.
-pub type Page = fn(&Outcome) -> Result<String, StageError>;
+/// Writes a page; with the name and the results of another run, it compares both.
+pub type Page = fn(&Outcome, Option<(&str, &Outcome)>) -> Result<String, StageError>;
 
 /// What writes pages, and the line by which it knows its own.
 static WRITER: OnceLock<(Page, &'static str)> = OnceLock::new();
@@ -43,7 +45,8 @@ pub(in crate::cli) fn main(args: &ReportArgs, registry: &Registry) -> Result<Exi
     let graph = pipeline::source(&args.pipeline).load(registry)?;
     let store = pipeline::store(&args.store)?;
     let file = args.out.clone().unwrap_or_else(|| session::default_folder(&graph).join(FILE));
-    write(*writer, &args.pipeline, &graph, &store, &file)?;
+    let other = args.against.as_deref().map(|word| Other::load(word, &store, registry)).transpose()?;
+    write(*writer, &args.pipeline, (&graph, &store), &file, other.as_ref())?;
     print(&format!("report: {}\n", shown(&file)))?;
     Ok(ExitCode::SUCCESS)
 }
@@ -53,7 +56,7 @@ pub(in crate::cli) fn main(args: &ReportArgs, registry: &Registry) -> Result<Exi
 pub(in crate::cli) fn after_run(args: &RunArgs, graph: &Graph, store: &Store, folder: &Path) {
     let Some(writer) = WRITER.get() else { return };
     let file = folder.join(FILE);
-    match write(*writer, &args.pipeline, graph, store, &file) {
+    match write(*writer, &args.pipeline, (graph, store), &file, None) {
         Ok(()) if args.quiet || args.json => {}
         Ok(()) => drop(print(&format!("report: {}\n", shown(&file)))),
         Err(error) => print_error(&format!("warning: no report was written: {error}\n")),
@@ -63,9 +66,9 @@ pub(in crate::cli) fn after_run(args: &RunArgs, graph: &Graph, store: &Store, fo
 fn write(
     (page, mark): (Page, &'static str),
     args: &PipelineArgs,
-    graph: &Graph,
-    store: &Store,
+    (graph, store): (&Graph, &Store),
     file: &Path,
+    other: Option<&Other>,
 ) -> Result<(), Error> {
     let old = fsx::read_if_there(file)?;
     if old.as_ref().is_some_and(|old| !old.starts_with(mark.as_bytes())) {
@@ -74,7 +77,7 @@ fn write(
     }
     let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let outcome = collect::outcome(args, graph, store, folder)?;
-    let text = page(&outcome)
+    let text = page(&outcome, other.map(|other| (other.name.as_str(), &other.outcome)))
         .map_err(|error| Error::new(ErrorKind::Io, format!("cannot write a report: {error}")))?;
     if old.as_deref() != Some(text.as_bytes()) {
         fsx::create_dir_all(folder)?;

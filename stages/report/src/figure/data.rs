@@ -1,4 +1,4 @@
-//! Files and their labels as lines of numbers, sorted into panels, colours and strands.
+//! From files and labels to strands (sequences of numbers), grouped by panel and colour.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -12,20 +12,22 @@ pub(crate) const PORT: &str = "data";
 /// Rows of one file and one column, in the order of the file.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Strand {
-    /// The labels of the file, and `measure`, `column` and what other columns say.
+    /// The labels of the file, `measure`, `column`, and values of other columns that serve as labels.
     pub(crate) labels: BTreeMap<String, String>,
     pub(crate) x: Vec<f64>,
     pub(crate) y: Vec<f64>,
+    /// Label and value of the measure's mark.
+    pub(crate) mark: Option<(String, f64)>,
 }
 
-/// What shares a colour.
+/// Everything of one colour.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Series {
     /// The values of the labels of `colour`.
     pub(crate) key: Vec<String>,
     /// Its number among all series of the figure: the colour.
     pub(crate) number: usize,
-    /// Strands that are drawn apart; each is what is taken together.
+    /// Groups of strands; each group is aggregated into one line.
     pub(crate) groups: Vec<Vec<Strand>>,
 }
 
@@ -52,7 +54,7 @@ pub(crate) struct Data {
 /// Reads the files.
 ///
 /// # Errors
-/// A file that is no CSV, lacks a column or a label, or holds a text where a number is needed.
+/// A file is not CSV, lacks a column or a label, or has text where a number is needed.
 pub(crate) fn read(params: &FigureParams, items: &[InputItem<'_>]) -> Result<Vec<Strand>, StageError> {
     let mut strands = Vec::new();
     for item in items {
@@ -80,7 +82,10 @@ pub(crate) fn file(
     let missing = |name: &str| format!("has no column `{name}`; its columns are {}", listed());
     let x = params.x.as_deref().map(|name| at(name).ok_or_else(|| missing(name))).transpose()?;
     let mut wanted: Vec<(&Measure, usize)> = Vec::new();
+    let mut marks: Vec<Option<usize>> = Vec::new();
     for measure in &params.y {
+        let mark = measure.mark().map(|mark| at(&mark.column).ok_or_else(|| missing(&mark.column)));
+        let mark = mark.transpose()?;
         for name in measure.columns() {
             let found: Vec<usize> = match name.strip_suffix('*') {
                 Some(start) => (0..headers.len()).filter(|at| headers[*at].starts_with(start)).collect(),
@@ -89,6 +94,7 @@ pub(crate) fn file(
             if found.is_empty() {
                 return Err(missing(name));
             }
+            marks.extend(found.iter().map(|_| mark));
             wanted.extend(found.into_iter().map(|at| (measure, at)));
         }
     }
@@ -103,8 +109,8 @@ pub(crate) fn file(
             splits.push((key, at));
         }
     }
-    // What is taken together need not be there: the same figure serves one training and several. It is a label: a column
-    // of that name is something else, as the `seed` of each episode in a file of scores.
+    // Labels of `pool` may be absent, so that one figure serves one training or several. Columns do not serve as labels
+    // here: the column `seed` in a file of scores is the seed of each episode.
     let mut strands: Vec<Strand> = Vec::new();
     let mut places: HashMap<(usize, Vec<String>), usize> = HashMap::new();
     for (n, record) in reader.records().enumerate() {
@@ -119,9 +125,12 @@ pub(crate) fn file(
                 labels.insert("measure".to_owned(), measure.title().to_owned());
                 labels.insert("column".to_owned(), headers[*column].to_owned());
                 labels.extend(splits.iter().map(|(key, _)| (*key).clone()).zip(split));
-                strands.push(Strand { labels, x: Vec::new(), y: Vec::new() });
+                strands.push(Strand { labels, x: Vec::new(), y: Vec::new(), mark: None });
                 strands.len() - 1
             });
+            if let (None, Some(at), Some(mark)) = (&strands[place].mark, marks[m], measure.mark()) {
+                strands[place].mark = number(at)?.map(|value| (mark.label.clone(), value));
+            }
             strands[place].x.push(x);
             strands[place].y.push(y);
         }
@@ -129,7 +138,7 @@ pub(crate) fn file(
     Ok(strands)
 }
 
-/// A cell; an empty one, and what is no finite number, is no row.
+/// The number in a cell; `None` for empty cells and numbers that are not finite.
 fn number(text: &str, column: &str, line: usize) -> Result<Option<f64>, String> {
     if text.is_empty() {
         return Ok(None);
@@ -139,7 +148,7 @@ fn number(text: &str, column: &str, line: usize) -> Result<Option<f64>, String> 
     Ok(Some(value).filter(|value| value.is_finite()))
 }
 
-/// Sorts strands into panels and colours.
+/// Groups strands by panel and colour.
 ///
 /// # Errors
 /// There is nothing to draw.
@@ -213,7 +222,7 @@ fn sort(data: &mut Data) {
     }
 }
 
-/// Its place in the list, where it is put if need be.
+/// Its index in the list; it is appended if absent.
 fn note(list: &mut Vec<Vec<String>>, key: &Vec<String>) -> usize {
     list.iter().position(|other| other == key).unwrap_or_else(|| {
         list.push(key.clone());

@@ -43,6 +43,7 @@ pub(crate) fn csv(chart: &Chart<'_>) -> Result<Vec<u8>, Box<dyn std::error::Erro
                     bars.iter().map(|(from, to, n)| cells(None, Some(*n), Some(*from), Some(*to))).collect()
                 }
                 Shape::Level(_, _, y) => vec![cells(None, Some(*y), None, None)],
+                Shape::Mark(value) => vec![cells(Some(*value), None, None, None)],
             };
             rows.into_iter().try_for_each(|cells| line(drawn.series, &[], cells))?;
         }

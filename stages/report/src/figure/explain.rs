@@ -1,4 +1,4 @@
-//! What a figure says about itself in words: its axes, what each layer is, and a description for who cannot see it.
+//! The texts of a figure: axis titles, notes on its layers, and a description for screen readers.
 
 use super::chart::Chart;
 use super::data::Series;
@@ -7,7 +7,7 @@ use super::paint::MOST_POINTS;
 use super::params::{BandOf, Measure};
 use crate::inference::Over;
 
-/// What stands at the two axes.
+/// The titles of the axes.
 pub(crate) fn titles(chart: &Chart<'_>) -> (String, String) {
     let params = chart.params;
     let measures = params.y.iter().map(Measure::title).collect::<Vec<_>>().join(", ");
@@ -76,7 +76,10 @@ pub(crate) fn notes(chart: &Chart<'_>) -> Vec<String> {
     }
     notes.extend(panels(&params.rows, &params.columns));
     if !params.profile.is_empty() && params.profile != params.full_profile {
-        notes.push(format!("Made at profile {}: sizes are reduced, values say nothing.", params.profile));
+        notes.push(format!(
+            "Profile {}: sizes are reduced, so values are not those of profile {}.",
+            params.profile, params.full_profile
+        ));
     }
     if !params.note.trim().is_empty() {
         notes.push(crate::markdown::one_line(&params.note));
@@ -84,10 +87,14 @@ pub(crate) fn notes(chart: &Chart<'_>) -> Vec<String> {
     notes
 }
 
-/// What tells panels apart.
+/// The labels of the panels. Headings of measures and of named inputs explain themselves.
 fn panels(rows: &[String], columns: &[String]) -> Option<String> {
-    let (down, across) = (rows.join(" · "), columns.join(" · "));
-    match (rows.is_empty(), columns.is_empty()) {
+    let labels = |all: &[String]| {
+        let told = all.iter().map(String::as_str).filter(|label| !["measure", "name"].contains(label));
+        told.collect::<Vec<_>>().join(" · ")
+    };
+    let (down, across) = (labels(rows), labels(columns));
+    match (down.is_empty(), across.is_empty()) {
         (true, true) => None,
         (true, false) => Some(format!("Panels: {across}.")),
         (false, true) => Some(format!("Rows: {down}.")),
@@ -122,7 +129,7 @@ fn outside(chart: &Chart<'_>) -> usize {
     points.flatten().filter(|(x, y)| beyond(range.x, *x) || beyond(range.y, *y)).count()
 }
 
-/// What is taken together, as in `5 values of seed`; `None` where nothing is.
+/// What is aggregated, as `5 values of seed`; `None` if nothing is.
 fn pooled(chart: &Chart<'_>) -> Option<String> {
     let series = || chart.data.panels.iter().flat_map(|panel| &panel.series);
     let sizes = |series: &Series| series.groups.iter().map(Vec::len).max().unwrap_or(0);
@@ -166,7 +173,7 @@ fn intervals(chart: &Chart<'_>) -> Vec<String> {
     texts
 }
 
-/// What the figure shows, for who cannot see it.
+/// The description for screen readers.
 pub(crate) fn description(chart: &Chart<'_>, x: &str, y: &str, notes: &[String]) -> String {
     let (panels, series) = (chart.data.panels.len(), chart.data.series.len());
     let count = |n: usize, what: &str| if n == 1 { String::new() } else { format!(", {n} {what}") };

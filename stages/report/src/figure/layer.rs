@@ -10,9 +10,9 @@ use crate::stats::Summary;
 pub(crate) enum Shape {
     /// Marks.
     Points(Vec<(f64, f64)>),
-    /// A line; where `None` stands it is broken.
+    /// A line.
     Line(Vec<(f64, f64)>),
-    /// Steps that go along the horizontal axis first.
+    /// A step function; steps run along the horizontal axis first.
     Steps(Vec<(f64, f64)>),
     /// From the lower to the upper value at each place.
     Band(Vec<(f64, f64, f64)>),
@@ -22,6 +22,8 @@ pub(crate) enum Shape {
     Bars(Vec<(f64, f64, f64)>),
     /// A dashed horizontal line from one place to another.
     Level(f64, f64, f64),
+    /// A vertical line, named by its strand.
+    Mark(f64),
 }
 
 /// A shape with what it is.
@@ -30,7 +32,7 @@ pub(crate) struct Drawn {
     pub(crate) layer: &'static str,
     /// The number of its series.
     pub(crate) series: usize,
-    /// What tells it from others of its series.
+    /// Its name within the series.
     pub(crate) strand: String,
     pub(crate) shape: Shape,
 }
@@ -82,6 +84,15 @@ pub(crate) fn shapes(params: &FigureParams, panel: &Panel, bounds: (f64, f64)) -
         }
         if layers.ecdf.is_some() {
             add("ecdf", series, String::new(), Shape::Steps(shares(series)));
+        }
+    }
+    let mut marks: Vec<&(String, f64)> = Vec::new();
+    for series in &panel.series {
+        for mark in series.groups.iter().flatten().filter_map(|strand| strand.mark.as_ref()) {
+            if !marks.contains(&mark) {
+                marks.push(mark);
+                add("mark", series, mark.0.clone(), Shape::Mark(mark.1));
+            }
         }
     }
     drawn
@@ -244,7 +255,7 @@ mod tests {
 
     fn strand(values: &[(f64, f64)]) -> Strand {
         let (x, y) = values.iter().copied().unzip();
-        Strand { labels: Default::default(), x, y }
+        Strand { labels: Default::default(), x, y, mark: None }
     }
 
     #[test]
@@ -268,6 +279,29 @@ mod tests {
         assert_eq!(quantile(&sorted, 0.25), Some(2.5));
         assert_eq!(quantile(&[4.0], 0.9), Some(4.0));
         assert_eq!(quantile(&[], 0.9), None);
+    }
+
+    #[test]
+    fn a_mark_is_drawn_once_however_many_series_have_it() {
+        let mark = |value| Some(("expert".to_owned(), value));
+        let series = |number, value| Series {
+            key: Vec::new(),
+            number,
+            groups: vec![vec![Strand { mark: mark(value), ..strand(&[(0.0, 1.0), (1.0, 2.0)]) }]],
+        };
+        let panel = Panel {
+            row: Vec::new(),
+            column: Vec::new(),
+            series: vec![series(0, 0.5), series(1, 0.5), series(2, 0.7)],
+        };
+        let params: FigureParams =
+            serde_json::from_value(serde_json::json!({ "title": "t", "layers": { "ecdf": {} } })).unwrap();
+        let shapes = shapes(&params, &panel, (0.0, 2.0));
+        let marks = shapes.iter().filter_map(|drawn| match drawn.shape {
+            Shape::Mark(value) => Some((drawn.strand.as_str(), value)),
+            _ => None,
+        });
+        assert_eq!(marks.collect::<Vec<_>>(), [("expert", 0.5), ("expert", 0.7)]);
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Where everything stands on the canvas, in pixels, before anything is drawn.
+//! The layout of a figure: positions of all parts on the canvas, in pixels.
 
 use super::data::Data;
 use super::params::FigureParams;

@@ -1,17 +1,18 @@
-//! The kind `figure`: CSV files of any stage, drawn as SVG; and what is drawn, as CSV.
+//! The kind `figure`: draws CSV files of any stage as SVG, and writes the drawn values as CSV.
 //!
 //! | module | what it does |
 //! |---|---|
-//! | `params` | what a pipeline file says |
+//! | `params` | parameters |
 //! | `data` | files and labels → panels, series, strands |
 //! | `layer`, `intervals` | strands → shapes, in the units of the data |
 //! | `ticks`, `layout`, `explain` | axes, places on the canvas, words |
-//! | `chart`, `paint` | shapes → plotters |
+//! | `chart`, `draw`, `paint` | shapes → plotters |
 //! | `svg`, `ink` | plotters → SVG |
 //! | `drawn` | shapes → CSV |
 
 mod chart;
 mod data;
+mod draw;
 mod drawn;
 mod explain;
 mod ink;
@@ -29,7 +30,7 @@ use dril_stage_api::{Artifact, Ctx, Describe, InputItem, Ports, Problems, Stage,
 
 use crate::reference;
 pub use params::{
-    Area, Band, BandOf, Ecdf, FigureParams, Histogram, Intervals, Layers, Line, Mean, Measure, Points,
+    Area, Band, BandOf, Ecdf, FigureParams, Histogram, Intervals, Layers, Line, Mark, Mean, Measure, Points,
     Preset, Ranges, Rule, Scales, Span,
 };
 pub(crate) use svg::escape;
@@ -42,13 +43,13 @@ pub use ticks::Scale;
 ///
 /// Outputs: `svg`, and `csv` with the columns `<labels>,layer,strand,x,y,low,high,n`.
 ///
-/// Equal inputs, labels and parameters give equal bytes; series, colours and panels stand in the order of the matrix.
+/// Equal inputs, labels and parameters give equal bytes; series, colours and panels follow the order of the matrix.
 pub struct Figure;
 
 impl Describe for Figure {
     const KIND: &'static str = "figure";
-    const REVISION: u32 = 1;
-    const ABOUT: &'static str = "draw CSV files as SVG; series, colours and panels come from the labels";
+    const REVISION: u32 = 2;
+    const ABOUT: &'static str = "draws CSV files as SVG, with panels, colours and lines by their labels";
     const SEEDED: bool = false;
     type Params = FigureParams;
 
@@ -58,10 +59,18 @@ impl Describe for Figure {
 
     fn ports(_: &FigureParams) -> Ports {
         Ports::new()
-            .many(data::PORT, Artifact::FILE, "CSV files with a header; their labels say where each belongs")
-            .optional(reference::PORT, Artifact::FILE, "published values: a CSV file of the labels and mean")
+            .many(
+                data::PORT,
+                Artifact::FILE,
+                "CSV files with a header; their labels select panel, colour and line",
+            )
+            .optional(
+                reference::PORT,
+                Artifact::FILE,
+                "published values: a CSV file with the labels and `mean`",
+            )
             .output("svg", Artifact::FIGURE, "svg", "the figure")
-            .output("csv", Artifact::TABLE, "csv", "what it draws, one line a mark")
+            .output("csv", Artifact::TABLE, "csv", "the drawn values, one row per marker")
     }
 }
 
@@ -76,7 +85,7 @@ impl Stage for Figure {
     }
 }
 
-/// A figure in both its forms.
+/// A figure as SVG and as CSV.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Drawing {
     /// The SVG file.
@@ -88,7 +97,7 @@ pub struct Drawing {
 /// Draws files that carry labels.
 ///
 /// # Errors
-/// A file that is no CSV, or does not have what the parameters ask for.
+/// A file is not CSV, or lacks a column or label that the parameters name.
 pub fn draw(
     params: &FigureParams,
     items: &[InputItem<'_>],

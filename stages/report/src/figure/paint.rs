@@ -127,6 +127,16 @@ pub(crate) fn shape(canvas: &Canvas<'_>, map: &Map<'_>, drawn: &Drawn) -> Painte
             }
             _ => Ok(()),
         },
+        Shape::Mark(value) => {
+            let (left, top, right, bottom) = map.frame;
+            let place = (map.place)(*value, f64::NAN).map(|place| place.0);
+            let Some(x) = place.filter(|x| (left..=right).contains(x)) else { return Ok(()) };
+            canvas.draw(&PathElement::new(vec![(x, top), (x, bottom)], pen(Ink::Mark.colour(), 1.0, 14)))?;
+            let is_right = x > (left + right) / 2;
+            let hold = (if is_right { HPos::Right } else { HPos::Left }, VPos::Top);
+            let words = Words { size: 100, ink: Ink::Mark, hold, ..WORDS };
+            words_on_paper(canvas, &drawn.strand, (if is_right { x - 30 } else { x + 30 }, top + 20), words)
+        }
     }
 }
 
@@ -235,44 +245,56 @@ pub(crate) fn hollow(canvas: &Canvas<'_>, (x, y): Pixel) -> Painted {
     canvas.draw(&PathElement::new(corners, pen(Ink::Mark.colour(), 1.0, 12)))
 }
 
-/// A line of the rule's own, or a region.
-pub(crate) fn rule(
-    canvas: &Canvas<'_>,
-    map: &Map<'_>,
-    places: (Option<Span>, Option<Span>),
-    rule: &Rule,
-) -> Painted {
+/// The shaded region of a rule, behind the data.
+pub(crate) fn region_of(canvas: &Canvas<'_>, map: &Map<'_>, rule: &Rule) -> Painted {
+    let (left, top, right, bottom) = map.frame;
+    let corners = match (rule.x, rule.y) {
+        (Some(Span::Between(ends)), _) => {
+            let [from, to] =
+                ends.map(|value| (map.place)(value, f64::NAN).map(|place| place.0.clamp(left, right)));
+            from.zip(to).map(|(from, to)| [(from, top), (to, bottom)])
+        }
+        (_, Some(Span::Between(ends))) => {
+            let [from, to] =
+                ends.map(|value| (map.place)(f64::NAN, value).map(|place| place.1.clamp(top, bottom)));
+            from.zip(to).map(|(from, to)| [(left, to), (right, from)])
+        }
+        _ => None,
+    };
+    let Some(corners) = corners else { return Ok(()) };
+    canvas.draw(&Rectangle::new(corners, fill(Ink::Grid.colour(), 0.18)))
+}
+
+/// The line of a rule, and its label; of a region the label alone.
+pub(crate) fn rule(canvas: &Canvas<'_>, map: &Map<'_>, rule: &Rule) -> Painted {
     let (left, top, right, bottom) = map.frame;
     let x = |value: f64| (map.place)(value, f64::NAN).map(|place| place.0);
     let y = |value: f64| (map.place)(f64::NAN, value).map(|place| place.1);
-    let label = |at: Pixel, hold| {
-        words_on_paper(canvas, &rule.label, at, Words { size: 100, ink: Ink::Mark, hold, ..WORDS })
+    let label = |at: Pixel, hold, ink| {
+        words_on_paper(canvas, &rule.label, at, Words { size: 100, ink, hold, ..WORDS })
     };
-    match places {
+    match (rule.x, rule.y) {
         (Some(Span::At(at)), _) => {
             let Some(x) = x(at).filter(|x| (left..=right).contains(x)) else { return Ok(()) };
             canvas.draw(&PathElement::new(vec![(x, top), (x, bottom)], pen(Ink::Mark.dashed(), 1.0, 10)))?;
             let is_right = x > (left + right) / 2;
             let hold = (if is_right { HPos::Right } else { HPos::Left }, VPos::Top);
-            label((if is_right { x - 30 } else { x + 30 }, top + 20), hold)
+            label((if is_right { x - 30 } else { x + 30 }, top + 20), hold, Ink::Mark)
         }
         (_, Some(Span::At(at))) => {
             let Some(y) = y(at).filter(|y| (top..=bottom).contains(y)) else { return Ok(()) };
             canvas.draw(&PathElement::new(vec![(left, y), (right, y)], pen(Ink::Mark.dashed(), 1.0, 10)))?;
             let (at, hold) = if y - top > 160 { (y - 20, VPos::Bottom) } else { (y + 20, VPos::Top) };
-            label((right - 30, at), (HPos::Right, hold))
+            label((right - 30, at), (HPos::Right, hold), Ink::Mark)
         }
-        (Some(Span::Between([from, to])), _) => {
-            let (Some(from), Some(to)) = (x(from), x(to)) else { return Ok(()) };
-            let (from, to) = (from.clamp(left, right), to.clamp(left, right));
-            canvas.draw(&Rectangle::new([(from, top), (to, bottom)], fill(Ink::Mark.colour(), 0.1)))?;
-            label((from + 30, top + 20), (HPos::Left, VPos::Top))
+        (Some(Span::Between([from, _])), _) => {
+            let Some(from) = x(from) else { return Ok(()) };
+            label((from.clamp(left, right) + 30, top + 20), (HPos::Left, VPos::Top), Ink::Quiet)
         }
         (_, Some(Span::Between([from, to]))) => {
             let (Some(from), Some(to)) = (y(from), y(to)) else { return Ok(()) };
-            let (from, to) = (from.clamp(top, bottom), to.clamp(top, bottom));
-            canvas.draw(&Rectangle::new([(left, to), (right, from)], fill(Ink::Mark.colour(), 0.1)))?;
-            label((right - 30, to.min(from) + 20), (HPos::Right, VPos::Top))
+            let at = to.clamp(top, bottom).min(from.clamp(top, bottom));
+            label((right - 30, at + 20), (HPos::Right, VPos::Top), Ink::Quiet)
         }
         _ => Ok(()),
     }

@@ -10,34 +10,34 @@ use super::ticks::Scale;
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FigureParams {
-    /// The heading.
+    /// The title.
     pub title: String,
-    /// A usual kind of figure: fills in whatever of `x`, `y`, `layers` and `scale` is left out.
+    /// A common type of figure: sets those of `x`, `y`, `layers` and `scale` that are not given.
     #[serde(default)]
     pub preset: Option<Preset>,
-    /// The column along the horizontal axis; without it, the number of the row, from 0.
+    /// The column on the horizontal axis. Default: the row number, from 0.
     #[serde(default)]
     pub x: Option<String>,
-    /// The columns to draw, each a measure of its own; several columns in one entry share a panel and an axis.
+    /// The columns to draw. Each entry is one measure; several columns in one entry share a panel and an axis.
     #[serde(default)]
     pub y: Vec<Measure>,
-    /// The labels whose values tell rows of panels apart. `measure` stands for the entries of `y`.
+    /// One row of panels for each value of these labels. `measure` stands for the entries of `y`.
     #[serde(default)]
     pub rows: Vec<String>,
-    /// The labels whose values tell columns of panels apart.
+    /// One column of panels for each value of these labels.
     #[serde(default)]
     pub columns: Vec<String>,
-    /// The labels whose values tell colours apart. `column` stands for the columns of the files.
+    /// One colour for each value of these labels. `column` stands for the columns of the files.
     #[serde(default)]
     pub colour: Vec<String>,
-    /// The labels whose values are taken together: lines become the mean over them.
+    /// Labels to aggregate over: lines become the mean over their values.
     #[serde(default)]
     pub pool: Vec<String>,
-    /// For intervals: the labels whose values tell the lines of the figure apart; without it, all labels that vary and
-    /// have no other place.
+    /// For intervals: one line of the figure for each value of these labels. Default: all labels that vary and are not
+    /// used elsewhere.
     #[serde(default)]
     pub categories: Vec<String>,
-    /// What is drawn.
+    /// The layers to draw.
     #[serde(default)]
     pub layers: Layers,
     /// Lines and regions at fixed values.
@@ -46,43 +46,56 @@ pub struct FigureParams {
     /// Logarithmic axes.
     #[serde(default)]
     pub scale: Scales,
-    /// The part that is shown; what lies outside is not drawn.
+    /// Limits of the axes; values outside are not drawn.
     #[serde(default)]
     pub range: Ranges,
-    /// What stands at the horizontal axis, where the column's name does not do.
+    /// Title of the horizontal axis. Default: the name of the column.
     #[serde(default)]
     pub x_title: String,
-    /// What stands at the vertical axis, where the columns' names do not do.
+    /// Title of the vertical axis. Default: the names of the columns.
     #[serde(default)]
     pub y_title: String,
     /// A sentence to print under the figure.
     #[serde(default)]
     pub note: String,
-    /// The profile at which the figure is made; at any other than `full_profile` it says that its sizes are reduced.
+    /// The profile of the run. At any other than `full_profile` the figure states that its sizes are reduced.
     #[serde(default)]
     pub profile: String,
-    /// The profile whose sizes are those of the experiment.
+    /// The profile with the sizes of the experiment.
     #[serde(default = "crate::caption::full_profile")]
     pub full_profile: String,
 }
 
-/// What a figure's `y` lists.
+/// An entry of `y`.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(untagged)]
 pub enum Measure {
-    /// A column; `action_*` means all columns that begin so.
+    /// A column; `action_*` means all columns with that prefix.
     Column(String),
-    /// Columns that belong together.
+    /// Several columns in one panel.
     Columns {
         /// Their names.
         columns: Vec<String>,
-        /// What they are, as it stands at the axis.
+        /// The title of the axis.
         title: String,
+        /// A value to draw as a line across each panel, for histograms and `ecdf`.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        mark: Option<Mark>,
     },
 }
 
+/// A value that is marked in a distribution.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Mark {
+    /// The column with the value; the first number in each file is drawn.
+    pub column: String,
+    /// Its label.
+    pub label: String,
+}
+
 impl Measure {
-    /// Its columns, with `*` at the end for all that begin so.
+    /// Its columns; a trailing `*` matches all columns with that prefix.
     pub(crate) fn columns(&self) -> Vec<&str> {
         match self {
             Self::Column(name) => vec![name],
@@ -90,54 +103,62 @@ impl Measure {
         }
     }
 
-    /// What it is called.
+    /// Its title.
     pub(crate) fn title(&self) -> &str {
         match self {
             Self::Column(name) => name,
             Self::Columns { title, .. } => title,
         }
     }
+
+    /// The value to draw beside it.
+    pub(crate) fn mark(&self) -> Option<&Mark> {
+        match self {
+            Self::Column(_) => None,
+            Self::Columns { mark, .. } => mark.as_ref(),
+        }
+    }
 }
 
-/// A usual kind of figure.
+/// A common type of figure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Preset {
-    /// Mean over trainings, and the band from the lowest to the highest: `score_mean_10` over `step`.
+    /// Mean over trainings with a min–max band: `score_mean_10` over `step`.
     Curve,
     /// Losses over epochs on a logarithmic axis: `train_loss` and `val_loss` over `epoch`.
     Losses,
-    /// The score of each training episode, and the mean of the last 100.
+    /// The score of each training episode, and their moving average over 100 episodes.
     Episodes,
     /// The scores of an evaluation in order, and their mean.
     Scores,
     /// One episode step by step: a row of panels for each measure.
     Trace,
-    /// How often each value occurs.
+    /// A histogram.
     Distribution,
     /// Means with their 95 % intervals.
     Interval,
 }
 
-/// The layers, drawn in the order in which they stand here.
+/// The layers, in the order in which they are drawn.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Layers {
     /// The area between each line and 0.
     pub area: Option<Area>,
-    /// A band around a line: over the labels of `pool`, or over the last rows.
+    /// A band around each line: over the labels of `pool`, or over the last rows.
     pub band: Option<Band>,
-    /// How often each value occurs; the measure is then along the horizontal axis.
+    /// Counts per bin, with the measure on the horizontal axis.
     pub histogram: Option<Histogram>,
-    /// One mark a row.
+    /// One marker per row.
     pub points: Option<Points>,
-    /// The rows, joined.
+    /// The rows, connected.
     pub line: Option<Line>,
-    /// The mean of all rows of a series, as a horizontal line.
+    /// The mean of all rows of each line, as a dashed horizontal line.
     pub mean: Option<Mean>,
-    /// The share of rows with at most each value; the measure is then along the horizontal axis.
+    /// The empirical distribution function, with the measure on the horizontal axis.
     pub ecdf: Option<Ecdf>,
-    /// Means with their 95 % intervals, one category a line; the measure is then along the horizontal axis.
+    /// Means with 95 % intervals, one category per line, with the measure on the horizontal axis.
     pub interval: Option<Intervals>,
 }
 
@@ -170,11 +191,11 @@ pub struct Intervals {}
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Line {
-    /// Each point is the mean of so many rows, itself the last; 0 and 1 leave the rows as they are.
+    /// Window of the moving average: each point is the mean of the last rows, itself included. 0 and 1: no smoothing.
     pub smooth: usize,
 }
 
-/// What a band reaches over.
+/// The extent of a band.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum BandOf {
@@ -191,10 +212,9 @@ pub enum BandOf {
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Band {
-    /// What it reaches over.
+    /// Its extent.
     pub of: BandOf,
-    /// 0: over the series that are taken together, at each value of `x`. Otherwise: over so many rows of each line,
-    /// the row itself the last.
+    /// 0: at each value of `x`, over the lines that `pool` aggregates. Otherwise: over a moving window of this many rows.
     pub window: usize,
 }
 
@@ -202,7 +222,7 @@ pub struct Band {
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Histogram {
-    /// Into so many equal parts the range of the values is divided.
+    /// Number of bins of equal width over the range of the values.
     pub bins: usize,
 }
 
@@ -226,15 +246,30 @@ pub enum Span {
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Rule {
-    /// Where on the horizontal axis.
+    /// Position on the horizontal axis.
     pub x: Option<Span>,
-    /// Where on the vertical axis.
+    /// Position on the vertical axis.
     pub y: Option<Span>,
-    /// What it means.
+    /// Its label.
     pub label: String,
+    /// Titles of the entries of `y` in whose panels it is drawn, if they have panels of their own. Default: all.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub measures: Vec<String>,
 }
 
-/// How values are laid out.
+impl Rule {
+    /// True for a region, false for a line.
+    pub(crate) fn is_region(&self) -> bool {
+        [self.x, self.y].iter().any(|span| matches!(span, Some(Span::Between(_))))
+    }
+
+    /// True where it is drawn in panels of this measure.
+    pub(crate) fn is_for(&self, measure: Option<&str>) -> bool {
+        self.measures.is_empty() || measure.is_some_and(|name| self.measures.iter().any(|one| one == name))
+    }
+}
+
+/// Linear or logarithmic axes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Scales {
@@ -244,7 +279,7 @@ pub struct Scales {
     pub y: Scale,
 }
 
-/// What is shown of the axes.
+/// Limits of the axes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Ranges {
@@ -255,7 +290,7 @@ pub struct Ranges {
 }
 
 impl FigureParams {
-    /// With what the preset says wherever nothing else is said.
+    /// With the values of the preset where none are given.
     pub(crate) fn filled(&self) -> Self {
         let mut full = self.clone();
         let Some(preset) = self.preset else { return full };
@@ -353,15 +388,35 @@ impl FigureParams {
                 }
             }
         }
-        for (n, rule) in self.rules.iter().enumerate() {
-            if rule.x.is_some() == rule.y.is_some() {
-                problems.add(&format!("rules.{n}"), "a rule has one of `x` and `y`");
-            }
-        }
+        check_marks(&full, problems);
+        check_rules(&full, problems);
         for (name, range) in [("range.x", self.range.x), ("range.y", self.range.y)] {
             if range.is_some_and(|[low, high]| !(low < high && (high - low).is_finite())) {
                 problems.add(name, format!("`{name}` is no range, expected two numbers, the smaller first"));
             }
+        }
+    }
+}
+
+fn check_marks(full: &FigureParams, problems: &mut Problems) {
+    let is_distribution = full.layers.histogram.is_some() || full.layers.ecdf.is_some();
+    for (n, measure) in full.y.iter().enumerate() {
+        if measure.mark().is_some() && !is_distribution {
+            let message = "`mark` is drawn across a distribution, expected the layer `histogram` or `ecdf`";
+            problems.add(&format!("y.{n}.mark"), message);
+        }
+    }
+}
+
+fn check_rules(full: &FigureParams, problems: &mut Problems) {
+    for (n, rule) in full.rules.iter().enumerate() {
+        if rule.x.is_some() == rule.y.is_some() {
+            problems.add(&format!("rules.{n}"), "a rule has one of `x` and `y`");
+        }
+        for name in rule.measures.iter().filter(|name| full.y.iter().all(|one| one.title() != name.as_str()))
+        {
+            let message = format!("`{name}` is no entry of `y`, expected the column or title of one");
+            problems.add(&format!("rules.{n}.measures"), message);
         }
     }
 }

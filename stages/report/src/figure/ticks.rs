@@ -1,19 +1,19 @@
-//! Where an axis has its ticks, and what stands at them: round numbers, each with as many decimals as all of them need.
+//! Ticks of an axis and their labels: round numbers, all with the same number of decimals.
 
 use std::ops::Range;
 
 use plotters::coord::ranged1d::{KeyPointHint, NoDefaultFormatting, Ranged, ValueFormatter};
 
-/// How values are laid out along an axis.
+/// The scale of an axis.
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, serde::Deserialize, serde::Serialize, schemars::JsonSchema,
 )]
 #[serde(rename_all = "kebab-case")]
 pub enum Scale {
-    /// Equal differences are equal distances.
+    /// Linear.
     #[default]
     Linear,
-    /// Equal ratios are equal distances; values that are not more than 0 are left out.
+    /// Logarithmic; values of 0 and below are omitted.
     Log,
 }
 

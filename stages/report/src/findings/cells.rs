@@ -1,4 +1,4 @@
-//! Evaluations as cells, and pairs of cells that a claim compares.
+//! Cells of evaluations, and the pairs of cells that a claim compares.
 
 use std::collections::BTreeMap;
 
@@ -64,7 +64,7 @@ pub(crate) fn read(params: &FindingsParams, ctx: &Ctx<'_>) -> Result<Vec<Cell>, 
 /// The pairs of a claim, in the order of the cells.
 ///
 /// # Errors
-/// A side that no cell is on, a cell without its counterpart, or several that nothing chooses from.
+/// A side has no cell, a cell has no counterpart, or there are several candidates without `best_of`.
 pub(crate) fn pairs<'c>(claim: &'c Claim, cells: &'c [Cell]) -> Result<Vec<Pair<'c>>, StageError> {
     let is_on = |cell: &Cell, side: &BTreeMap<String, Value>| {
         side.iter()

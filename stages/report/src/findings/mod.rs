@@ -1,4 +1,4 @@
-//! The kind `findings`: claims about evaluations, stated in the pipeline, tested together.
+//! The kind `findings`: tests claims about evaluations as one family.
 
 mod cells;
 mod page;
@@ -16,17 +16,17 @@ pub use test::Verdict;
 /// Inputs: `scores`, any number of evaluations, each with its labels, played on the same tracks; `reference`, if given,
 /// a CSV file with all labels but those of trainings, `mean` and `std` as columns.
 ///
-/// Outputs: `csv` with one line a claim, `pairs` with one line a pair of cells of a claim, `markdown` for people.
+/// Outputs: `csv` with one row per claim, `pairs` with one row per pair of cells, `markdown` for people.
 ///
 /// The difference of a claim is the mean over its pairs. With several trainings a cell, the unit is the training: the
 /// differences of trainings with equal keys, with t over them. With one, it is the track: the differences on equal
-/// tracks, with t over them, which speaks of these policies alone. The p values are corrected by Holm over all claims.
+/// tracks, with t over them, which holds for these policies only. The p values are corrected by Holm over all claims.
 pub struct Findings;
 
 impl Describe for Findings {
     const KIND: &'static str = "findings";
     const REVISION: u32 = 1;
-    const ABOUT: &'static str = "test claims about evaluations together, beside published values";
+    const ABOUT: &'static str = "tests claims about evaluations as one family, next to published values";
     const SEEDED: bool = false;
     type Params = FindingsParams;
 

@@ -33,10 +33,10 @@ pub(crate) struct Page<'a> {
     pub(crate) published: Vec<Option<Published>>,
 }
 
-/// What the reference says of each claim.
+/// The published difference of each claim.
 ///
 /// # Errors
-/// It is none, or lacks a label.
+/// The reference cannot be read or lacks a label.
 pub(crate) fn published(
     params: &FindingsParams,
     cells: &[Cell],
@@ -92,7 +92,7 @@ fn unit(over: Over) -> &'static str {
 }
 
 impl Page<'_> {
-    /// One line a claim.
+    /// One row per claim.
     pub(crate) fn csv(&self) -> Written {
         let mut writer = csv::Writer::from_writer(Vec::new());
         writer.write_record([
@@ -139,7 +139,7 @@ impl Page<'_> {
         Ok(writer.into_inner()?)
     }
 
-    /// One line a pair, with intervals of its own that are not corrected for their number.
+    /// One row per pair, with uncorrected intervals.
     pub(crate) fn pairs_csv(&self, cells: &[Cell]) -> Written {
         let labels = labels(cells);
         let mut writer = csv::Writer::from_writer(Vec::new());

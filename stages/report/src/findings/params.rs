@@ -1,4 +1,4 @@
-//! The parameters of the kind `findings`: claims about cells, as a pipeline states them.
+//! The parameters of the kind `findings`.
 
 use std::collections::BTreeMap;
 
@@ -12,20 +12,20 @@ use crate::markdown::one_line;
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FindingsParams {
-    /// The heading.
+    /// The title.
     pub title: String,
-    /// The profile at which the findings are made; printed with them.
+    /// The profile of the run; printed with the findings.
     pub profile: String,
-    /// The profile whose sizes are those of the thesis. At any other the page says that sizes are reduced.
+    /// The profile with the sizes of the experiment. At any other the page states that sizes are reduced.
     #[serde(default = "crate::caption::full_profile")]
     pub full_profile: String,
-    /// The labels that tell trainings of one cell apart, `seed` for example. Without any there is one training a cell,
-    /// and what is found holds for these policies only.
+    /// The labels that distinguish trainings of one cell, such as `seed`. Without any, each cell has one training, and
+    /// findings hold for these policies only.
     #[serde(default)]
     pub trainings: Vec<String>,
-    /// The claims, tested together.
+    /// The claims; they are tested as one family.
     pub claims: Vec<Claim>,
-    /// Over so many episodes the values of the reference were measured.
+    /// Number of episodes behind each value of the reference.
     #[serde(default = "hundred")]
     pub reference_episodes: u32,
     /// A sentence to print under the table.
@@ -41,11 +41,11 @@ fn hundred() -> u32 {
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Claim {
-    /// What is claimed, as a sentence.
+    /// The claim as a sentence.
     pub claim: String,
-    /// What it says of the difference.
+    /// What it claims about the difference.
     pub is: Relation,
-    /// The difference, in points, that counts.
+    /// The smallest relevant difference, in points.
     #[serde(default)]
     pub margin: f64,
     /// Labels and values of the cells on the left.
@@ -55,13 +55,13 @@ pub struct Claim {
     /// Labels and values of the cells on both sides.
     #[serde(default, rename = "where")]
     pub both: BTreeMap<String, Value>,
-    /// Of cells that differ in these labels only, the best stands for its side; it is chosen on every other episode, and
+    /// Of cells that differ in these labels only, the best represents its side. It is chosen on every other episode and
     /// compared on the rest.
     #[serde(default)]
     pub best_of: Vec<String>,
 }
 
-/// What a claim says of a difference.
+/// What a claim says about a difference.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Relation {

@@ -1,10 +1,10 @@
-//! One claim's number: the mean difference over its pairs, its interval, and how far it speaks for or against the claim.
+//! The test of a claim: the mean difference over its pairs, its interval, and p values for and against it.
 
 use super::cells::{Cell, Pair, Training};
 use super::params::{Claim, Relation};
 use crate::inference::{self, FEWEST_EPISODES, FEWEST_TRAININGS, Over};
 
-/// Independent values of a difference, and over what they are.
+/// Independent values of a difference, and their unit of analysis.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Differences {
     pub(crate) values: Vec<f64>,
@@ -25,9 +25,9 @@ pub(crate) struct Measured {
 pub enum Verdict {
     /// The difference is as claimed.
     Holds,
-    /// It is the other way round.
+    /// The opposite holds.
     Contradicted,
-    /// The data leave both open.
+    /// The data do not decide.
     Undecided,
 }
 
@@ -146,7 +146,7 @@ impl Differences {
 pub(crate) fn verdicts(claims: &[Claim], measured: &[Measured]) -> Vec<(Verdict, Option<f64>)> {
     let each: Vec<Option<(f64, f64)>> =
         claims.iter().zip(measured).map(|(claim, measured)| measured.all.p(claim.is, claim.margin)).collect();
-    // A claim that cannot be tested is part of the family all the same: what others find is not to gain by it.
+    // Claims that cannot be tested still count towards the family, so that the others gain nothing from them.
     let smaller: Vec<f64> =
         each.iter().map(|p| p.map_or(1.0, |(holds, against)| holds.min(against))).collect();
     let adjusted = inference::holm(&smaller);

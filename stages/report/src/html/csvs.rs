@@ -1,8 +1,8 @@
-//! CSV text as rows, and as a table of the page.
+//! CSV files as HTML tables.
 
 use maud::{Markup, html};
 
-/// Longer tables are cut; the file has all of it.
+/// Rows shown, at most; the file has all of them.
 pub(crate) const MOST_ROWS: usize = 100;
 
 /// A CSV file in memory.
@@ -13,7 +13,7 @@ pub(crate) struct Csv {
 }
 
 impl Csv {
-    /// Reads it; `None` where the bytes are no CSV, or it has no row.
+    /// Parses it; `None` if it is not CSV or has no row.
     pub(crate) fn parse(bytes: &[u8]) -> Option<Self> {
         let mut reader = csv::ReaderBuilder::new().flexible(true).from_reader(bytes);
         let text = |record: &csv::StringRecord| record.iter().map(str::to_owned).collect::<Vec<_>>();
@@ -23,12 +23,12 @@ impl Csv {
         (!rows.is_empty()).then_some(Self { headers, rows })
     }
 
-    /// Where a column is.
+    /// The index of a column.
     pub(crate) fn at(&self, name: &str) -> Option<usize> {
         self.headers.iter().position(|header| header == name)
     }
 
-    /// A cell; empty where there is none.
+    /// A cell; empty if the column is absent.
     pub(crate) fn cell<'c>(&'c self, row: &'c [String], name: &str) -> &'c str {
         self.at(name).and_then(|at| row.get(at)).map_or("", String::as_str)
     }

@@ -1,5 +1,5 @@
-//! The figures of the page: those that the pipeline makes, and, for scores and training logs that it draws nowhere,
-//! figures of our own.
+//! The figures of the report: those of the pipeline, and default figures of scores and training logs that it does not
+//! draw.
 
 use std::collections::BTreeMap;
 
@@ -8,21 +8,21 @@ use dril_stage_api::{Artifact, InputItem, Labels, StageError};
 use maud::{Markup, PreEscaped, html};
 
 use super::csvs::Csv;
-use super::{Room, Section, count, link, made, read, title_of};
+use super::{Room, Section, count, is_replay, link, made, read, title_of};
 use crate::figure::{FigureParams, Intervals, Layers, Line, Measure, Points, Scale, Scales, draw};
 
-/// Images of other programs are put into the page up to this size.
+/// Images that are not our SVG are embedded up to this size, in bytes.
 const LARGEST_IMAGE: u64 = 150_000;
-/// So many files are drawn into one figure that nobody asked for.
+/// Files in a default figure, at most.
 const MOST_FILES: usize = 100;
-/// So many panels of it.
+/// Panels of a default figure, at most.
 const MOST_PANELS: usize = 12;
-/// Labels that tell repetitions of the same thing apart.
+/// Labels that distinguish repetitions of one experiment.
 const REPETITIONS: [&str; 4] = ["seed", "fold", "run", "repetition"];
 
 /// The pipeline's own figures.
 pub(crate) fn section(outcome: &Outcome, room: &mut Room) -> Result<Option<Section>, StageError> {
-    let all = made(outcome, |_, output| output.artifact == Artifact::FIGURE);
+    let all = made(outcome, |stage, output| output.artifact == Artifact::FIGURE && !is_replay(stage));
     if all.is_empty() {
         return Ok(None);
     }
@@ -38,10 +38,10 @@ fn figure(stage: &StageOutcome, output: &OutputOutcome, room: &mut Room) -> Resu
     let title = title_of(stage);
     let image = if stage.kind == "figure" {
         let text = String::from_utf8_lossy(&read(output)?).into_owned();
-        // The figure is ours: its text cannot hold anything but shapes and escaped words.
+        // The kind `figure` wrote it: there are only shapes and escaped text in it.
         room.take(text.len()).then(|| html! { (PreEscaped(text)) })
     } else {
-        foreign(&title, output, room)?
+        embedded(&title, output, room)?
     };
     Ok(html! {
         figure {
@@ -50,7 +50,7 @@ fn figure(stage: &StageOutcome, output: &OutputOutcome, room: &mut Room) -> Resu
                 None => p { "Too large for this page" @if output.file.is_some() { ": " (link(output)) } "." },
             }
             figcaption {
-                @if stage.kind != "figure" { (title) ". " }
+                @if stage.kind != "figure" && title != stage.id { (title) ". " }
                 "Stage " code { (stage.id) }
                 @if output.file.is_some() { ": " (link(output)) }
                 @for data in stage.outputs.iter().filter(|other| stage.kind == "figure" && other.name == "csv") {
@@ -61,13 +61,17 @@ fn figure(stage: &StageOutcome, output: &OutputOutcome, room: &mut Room) -> Resu
     })
 }
 
-/// A frame in which a drawing scrolls where the window is narrow.
-fn frame(title: &str, image: &Markup) -> Markup {
-    html! { div class="wide" tabindex="0" role="region" aria-label=(title) { (image) } }
+/// A frame that scrolls horizontally in narrow windows.
+pub(crate) fn frame(title: &str, image: &Markup) -> Markup {
+    html! { div class="wide" tabindex="0" role="region" aria-label=(format!("Figure: {title}")) { (image) } }
 }
 
-/// The image of another program, which cannot reach out of its frame.
-fn foreign(title: &str, output: &OutputOutcome, room: &mut Room) -> Result<Option<Markup>, StageError> {
+/// An image as a data URI, in which no script runs; `None` if it does not fit into the page.
+pub(crate) fn embedded(
+    title: &str,
+    output: &OutputOutcome,
+    room: &mut Room,
+) -> Result<Option<Markup>, StageError> {
     let kind = match output.extension.as_str() {
         "svg" => "image/svg+xml",
         "png" => "image/png",
@@ -97,10 +101,10 @@ fn base64(bytes: &[u8]) -> String {
     text
 }
 
-/// The outputs of one name, with the stages that made them.
-type Members<'o> = Vec<(&'o StageOutcome, &'o OutputOutcome)>;
+/// An output with its labels, in the order of the matrix.
+pub(crate) type Member<'o> = (Vec<(String, String)>, &'o OutputOutcome);
 
-/// Scores and training logs that no figure of the pipeline reads, drawn without being asked.
+/// Default figures of scores and training logs that no figure of the pipeline reads.
 pub(crate) fn automatic(outcome: &Outcome, room: &mut Room) -> Result<Option<Section>, StageError> {
     let drawn = |name: &str, output: &str| {
         outcome.stages.iter().filter(|stage| stage.kind == "figure").any(|figure| {
@@ -111,13 +115,15 @@ pub(crate) fn automatic(outcome: &Outcome, room: &mut Room) -> Result<Option<Sec
         })
     };
     let wanted = [Artifact::SCORES, Artifact::TRAINING_LOG];
-    let all =
-        made(outcome, |stage, output| wanted.contains(&output.artifact) && !drawn(&stage.name, &output.name));
-    let mut groups: Vec<(&str, &str, Members<'_>)> = Vec::new();
+    let all = made(outcome, |stage, output| {
+        wanted.contains(&output.artifact) && !drawn(&stage.name, &output.name) && !is_replay(stage)
+    });
+    let mut groups: Vec<(&str, &str, Vec<Member<'_>>)> = Vec::new();
     for (stage, output) in all {
+        let member = (stage.labels.clone(), output);
         match groups.iter_mut().find(|(name, port, _)| *name == stage.name && *port == output.name) {
-            Some((_, _, members)) => members.push((stage, output)),
-            None => groups.push((&stage.name, &output.name, vec![(stage, output)])),
+            Some((_, _, members)) => members.push(member),
+            None => groups.push((&stage.name, &output.name, vec![member])),
         }
     }
     let mut bodies = Vec::new();
@@ -141,15 +147,15 @@ pub(crate) fn automatic(outcome: &Outcome, room: &mut Room) -> Result<Option<Sec
     Ok((!bodies.is_empty()).then_some(Section { anchor: "curves", title: "Scores and training logs", body }))
 }
 
-/// The figure of all files of one output; `None` where there is nothing to draw.
-fn figure_of(
+/// The default figure of all files of one output; `None` if there is nothing to draw.
+pub(crate) fn figure_of(
     name: &str,
     port: &str,
-    members: &[(&StageOutcome, &OutputOutcome)],
+    members: &[Member<'_>],
 ) -> Result<Option<String>, StageError> {
     let members = &members[..members.len().min(MOST_FILES)];
     let labels: Vec<Labels> =
-        members.iter().map(|(stage, _)| stage.labels.iter().cloned().collect::<BTreeMap<_, _>>()).collect();
+        members.iter().map(|(labels, _)| labels.iter().cloned().collect::<BTreeMap<_, _>>()).collect();
     let items: Vec<InputItem<'_>> = members
         .iter()
         .zip(&labels)
@@ -157,7 +163,7 @@ fn figure_of(
         .collect();
     let mut params = blank(format!("{name}.{port}"));
     // Axes of the matrix, the fastest last: it gets the colours, repetitions are taken together.
-    let axes: Vec<&str> = members[0].0.labels.iter().map(|(axis, _)| axis.as_str()).collect();
+    let axes: Vec<&str> = members[0].0.iter().map(|(axis, _)| axis.as_str()).collect();
     let (repetitions, axes): (Vec<&str>, Vec<&str>) =
         axes.into_iter().partition(|axis| REPETITIONS.contains(axis));
     params.pool = repetitions.into_iter().map(str::to_owned).collect();
@@ -172,11 +178,11 @@ fn figure_of(
             return Ok(None);
         }
     }
-    // What cannot be drawn is no reason to have no page.
+    // A figure that cannot be drawn must not prevent the report.
     Ok(draw(&params, &items, None).ok().map(|drawing| drawing.svg))
 }
 
-/// Which columns of a training log are worth a look, and over what.
+/// Chooses the columns of a training log to draw.
 fn curves(params: &mut FigureParams, csv: &Csv, axes: &[&str], files: usize) {
     let has = |name: &str| csv.at(name).is_some();
     let losses: Vec<&str> =

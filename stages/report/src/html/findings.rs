@@ -1,4 +1,4 @@
-//! What was found: each claim with its verdict, and its interval as a bar.
+//! Findings: each claim with its verdict and interval.
 
 use dril_stage_api::StageError;
 use dril_stage_api::outcome::Outcome;
@@ -38,7 +38,7 @@ pub(crate) fn counts(outcome: &Outcome) -> Result<Option<[(&'static str, usize);
     Ok(counts.iter().any(|(_, n)| *n > 0).then_some(counts))
 }
 
-/// True where findings stand on one training a cell.
+/// True if findings rest on one training per cell.
 pub(crate) fn rest_on_one_training(outcome: &Outcome) -> Result<bool, StageError> {
     for (_, output) in made(outcome, |stage, output| stage.kind == "findings" && output.name == "csv") {
         let csv = Csv::parse(&read(output)?).unwrap_or_default();

@@ -1,4 +1,4 @@
-//! The graph of the stages as a drawing: one box for each stage of the file, coloured by how its instances stand.
+//! The DAG of the pipeline as SVG: one box per stage of the file, coloured by the state of its instances.
 
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
@@ -11,8 +11,8 @@ use crate::figure::escape;
 
 /// A box in pixels, and the room between two.
 const BOX: (i32, i32) = (132, 38);
-const GAP: (i32, i32) = (44, 12);
-/// Graphs of more stages are not drawn.
+const GAP: (i32, i32) = (36, 8);
+/// Graphs with more stages are not drawn.
 const MOST: usize = 150;
 
 /// A stage of the file.
@@ -22,7 +22,7 @@ struct Node<'o> {
     instances: usize,
     done: usize,
     failed: usize,
-    /// The column: one right of all that it reads from.
+    /// The column: to the right of all its inputs.
     level: usize,
 }
 
@@ -37,15 +37,15 @@ pub(crate) fn section(outcome: &Outcome) -> Section {
                 (PreEscaped(drawing(&nodes, &edges)))
             }
             p class="quiet" {
-                "A box for each stage, with its kind and the number of its instances; arrows go to the stages that read it. "
-                "Solid: all up to date; dashed: some are not; thick red: some failed."
+                "One box per stage, with its kind and number of instances; arrows point to the stages that read its outputs. "
+                "Solid: all instances up to date; dashed: some are not; thick red: some failed."
             }
         }
     };
     Section { anchor: "stages", title: "Stages", body }
 }
 
-/// The stages of the file and which reads which, each with its column.
+/// The stages of the file with their columns, and the edges between them.
 fn layered(outcome: &Outcome) -> (Vec<Node<'_>>, BTreeSet<(usize, usize)>) {
     let mut nodes: Vec<Node<'_>> = Vec::new();
     let mut places = Vec::new();
@@ -84,15 +84,20 @@ fn layered(outcome: &Outcome) -> (Vec<Node<'_>>, BTreeSet<(usize, usize)>) {
 
 fn drawing(nodes: &[Node<'_>], edges: &BTreeSet<(usize, usize)>) -> String {
     let columns = 1 + nodes.iter().map(|node| node.level).max().unwrap_or(0);
+    let mut boxes = vec![0_i32; columns];
+    nodes.iter().for_each(|node| boxes[node.level] += 1);
+    let most = boxes.iter().max().copied().unwrap_or(1);
     let mut filled = vec![0_i32; columns];
     let mut corners = Vec::new();
     for node in nodes {
         let row = &mut filled[node.level];
-        corners.push((4 + node.level as i32 * (BOX.0 + GAP.0), 4 + *row * (BOX.1 + GAP.1)));
+        // Short columns are centred, so that edges stay short.
+        let above = (most - boxes[node.level]) * (BOX.1 + GAP.1) / 2;
+        corners.push((4 + node.level as i32 * (BOX.0 + GAP.0), 4 + above + *row * (BOX.1 + GAP.1)));
         *row += 1;
     }
     let width = columns as i32 * (BOX.0 + GAP.0) - GAP.0 + 8;
-    let height = filled.iter().max().copied().unwrap_or(1) * (BOX.1 + GAP.1) - GAP.1 + 8;
+    let height = most * (BOX.1 + GAP.1) - GAP.1 + 8;
     let mut svg = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" \
          height=\"{height}\" role=\"img\" aria-label=\"The graph of the stages\" font-family=\"system-ui,sans-serif\">\n"
@@ -135,13 +140,13 @@ fn drawing(nodes: &[Node<'_>], edges: &BTreeSet<(usize, usize)>) -> String {
             escape(&cut(node.name, 18)),
             x + 8,
             y + 31,
-            escape(&cut(&subtitle, 20))
+            escape(&cut(&subtitle, 18))
         );
     }
     svg + "</svg>\n"
 }
 
-/// The text, or its beginning where it would not fit.
+/// The text, truncated if it does not fit.
 fn cut(text: &str, most: usize) -> String {
     if text.chars().count() <= most {
         return text.to_owned();

@@ -1,5 +1,5 @@
-//! A table of the kind `table` as a grid: this run's values, the published ones under them, coloured by how many
-//! standard errors lie between them.
+//! A table of the kind `table` as a grid: values of this run above the published ones, coloured by their distance in
+//! standard errors.
 
 use maud::{Markup, html};
 use serde_json::Value;
@@ -8,7 +8,7 @@ use super::csvs::Csv;
 use crate::inference::FEWEST_EPISODES;
 use crate::number::{fixed, rounded};
 
-/// Over so many episodes published values are taken to be measured, where nothing says otherwise.
+/// Assumed number of episodes behind a published value.
 const PUBLISHED_EPISODES: f64 = 100.0;
 
 /// One cell.
@@ -47,7 +47,7 @@ impl Cell {
         Some(Self { mean: number("mean")?, std: number("std")?, episodes, reference })
     }
 
-    /// By how many standard errors of the difference it lies above what was published.
+    /// Distance from the published value in standard errors of the difference; positive if above.
     fn distance(&self) -> Option<f64> {
         let (mean, std) = self.reference?;
         let variance = self.std.powi(2) / self.episodes as f64 + std?.powi(2) / PUBLISHED_EPISODES;
@@ -178,14 +178,15 @@ impl Grid {
         html! {
             p class="quiet legend" {
                 "Mean ± standard deviation over episodes"
-                @if !columns.is_empty() { "; columns: " (columns) }
+                @if has_reference { ", with the published value below" }
+                @if !columns.is_empty() { ". Columns: " (columns) }
                 @if has_reference {
-                    "; under it the published value. Colour: this run is "
+                    ". Colour: this run is "
                     span class="d3" { "▼3" } span class="d2" { "▼2" } span class="d1" { "▼1" }
-                    " below or "
+                    " or more standard errors of the difference below it, or "
                     span class="u1" { "▲1" } span class="u2" { "▲2" } span class="u3" { "▲3" }
-                    " above it, by so many standard errors of the difference (over episodes, "
-                    (rounded(PUBLISHED_EPISODES)) " for published values)"
+                    " or more above (over episodes; "
+                    (rounded(PUBLISHED_EPISODES)) " per published value)"
                 }
                 @if has_few { ". " span class="few" { "Hatched" } ": fewer than " (FEWEST_EPISODES) " episodes, no interval" }
                 "."

@@ -1,4 +1,4 @@
-//! What stands on top of the page: what it is about, what it is not, and how far it is.
+//! The head of the report: title, warnings and progress.
 
 use std::collections::BTreeSet;
 
@@ -23,7 +23,7 @@ pub(crate) fn head(outcome: &Outcome) -> Result<Markup, StageError> {
             div { dt { "stages up to date" } dd { (done) " of " (outcome.stages.len()) } }
             @if failed > 0 { div { dt { "failed" } dd { (failed) } } }
             @if open > 0 { div { dt { "still to run" } dd { (open) } } }
-            div { dt { "work in them" } dd { (duration(seconds)) } }
+            div { dt { "compute time" } dd { (duration(seconds)) } }
             @if let Some(verdicts) = verdicts {
                 @for (name, number) in verdicts { div { dt { "claims: " (name) } dd { (number) } } }
             }
@@ -33,31 +33,32 @@ pub(crate) fn head(outcome: &Outcome) -> Result<Markup, StageError> {
     })
 }
 
-/// What a reader must know before any number.
+/// Warnings that a reader must see before any number.
 fn warnings(outcome: &Outcome, failed: usize, open: usize) -> Result<Vec<String>, StageError> {
     let mut warnings = Vec::new();
     if let Some(full) = outcome.first_profile.as_ref().filter(|full| **full != outcome.profile) {
         warnings.push(format!(
-            "Profile {}, not {full}: sizes are reduced. The numbers show that the pipeline works, and nothing else.",
+            "Profile {}, not {full}: sizes are reduced, so the numbers are not those of the full experiment.",
             outcome.profile
         ));
     }
     if failed > 0 {
-        warnings.push(format!("{} failed; what they make is missing here.", count(failed, "stage")));
+        warnings.push(format!("{} failed; their results are missing here.", count(failed, "stage")));
     }
     if open > 0 {
         let are = if open == 1 { "is" } else { "are" };
         warnings
-            .push(format!("{} {are} not up to date; what they make is missing here.", count(open, "stage")));
+            .push(format!("{} {are} not up to date; their results are missing here.", count(open, "stage")));
     }
     if findings::rest_on_one_training(outcome)? {
-        let text = "One training a cell: differences are between these policies, not between the methods.";
+        let text =
+            "One training per cell: differences hold for these policies, not for the methods in general.";
         warnings.push(text.to_owned());
     }
     Ok(warnings)
 }
 
-/// Programs, platforms and libraries of all results, each once.
+/// Distinct programs, platforms and libraries of all results.
 fn made_with(outcome: &Outcome) -> Vec<String> {
     let all: BTreeSet<(&String, &String)> =
         outcome.stages.iter().flat_map(|stage| &stage.made_with).collect();

@@ -1,8 +1,9 @@
-//! The page about a pipeline's results: one HTML file that fetches nothing, runs no script and reads without style
-//! sheets. A pipeline needs no word of configuration for it.
+//! The report: one HTML file about a pipeline's results that makes no requests, has no scripts and is readable without
+//! style sheets. It needs no configuration.
 //!
 //! It is a function of the [`Outcome`] and of the files that it names: equal stores give equal bytes.
 
+mod against;
 mod csvs;
 mod figures;
 mod findings;
@@ -10,6 +11,7 @@ mod graph;
 mod grid;
 mod head;
 mod provenance;
+mod replays;
 mod style;
 mod tables;
 
@@ -17,26 +19,26 @@ use dril_stage_api::StageError;
 use dril_stage_api::outcome::{Outcome, OutputOutcome, StageOutcome, State};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-/// The first line of every page, by which a later run knows that it may write over it.
+/// The first line of every report; a later run overwrites only files that begin with it.
 pub const MARK: &str = "<!-- made by dril-pipe report; a later run writes over it -->\n";
 
-/// Figures and tables stop being put into the page once it has so many bytes; the rest are links.
+/// Figures and tables are embedded up to this size of the page, in bytes; the rest are links.
 const ROOM: usize = 1_700_000;
 
-/// A part of the page: its anchor, its heading, and what stands in it.
+/// A section of the page: anchor, heading and content.
 pub(crate) struct Section {
     pub(crate) anchor: &'static str,
     pub(crate) title: &'static str,
     pub(crate) body: Markup,
 }
 
-/// How much still fits into the page.
+/// Bytes that still fit into the page.
 pub(crate) struct Room {
     left: usize,
 }
 
 impl Room {
-    /// Takes so many bytes; false where they do not fit.
+    /// Reserves bytes; false if they do not fit.
     pub(crate) fn take(&mut self, bytes: usize) -> bool {
         let fits = bytes <= self.left;
         if fits {
@@ -46,17 +48,21 @@ impl Room {
     }
 }
 
-/// Writes the page.
+/// Writes the page. With `other`, the results of another run under its name, it begins with a comparison.
 ///
 /// # Errors
-/// A result that the outcome names cannot be read.
-pub fn page(outcome: &Outcome) -> Result<String, StageError> {
+/// A result that an outcome names cannot be read.
+pub fn page(outcome: &Outcome, other: Option<(&str, &Outcome)>) -> Result<String, StageError> {
     let mut room = Room { left: ROOM };
+    let compared =
+        other.map(|(name, other)| against::section(outcome, name, other, &mut room)).transpose()?;
     let findings = findings::section(outcome)?;
     let sections: Vec<Section> = [
+        compared,
         tables::first(outcome)?,
         findings,
         figures::section(outcome, &mut room)?,
+        replays::section(outcome, &mut room)?,
         figures::automatic(outcome, &mut room)?,
         tables::others(outcome, &mut room)?,
         Some(graph::section(outcome)),
@@ -113,25 +119,30 @@ pub(crate) fn made(
     outputs.filter(|(stage, output)| fits(stage, output)).collect()
 }
 
-/// What the content of an output is.
+/// The content of an output.
 pub(crate) fn read(output: &OutputOutcome) -> Result<Vec<u8>, StageError> {
     std::fs::read(&output.path).map_err(StageError::io("cannot read", &output.path))
 }
 
-/// The title that the parameters of a stage give, or its id.
+/// The parameter `title` of a stage, or its id.
 pub(crate) fn title_of(stage: &StageOutcome) -> String {
     let title = stage.params.get("title").and_then(|title| title.as_str());
     title.filter(|title| !title.trim().is_empty()).map_or_else(|| stage.id.clone(), str::to_owned)
 }
 
-/// A link to the copy in the results folder; nothing where there is none.
+/// True for a stage that rendered an episode: it has a section of its own.
+pub(crate) fn is_replay(stage: &StageOutcome) -> bool {
+    stage.kind == "trace" && stage.outputs.iter().any(|output| output.name == "strip")
+}
+
+/// A link to the copy in the results folder, if there is one.
 pub(crate) fn link(output: &OutputOutcome) -> Markup {
     html! {
         @if let Some(file) = &output.file { a href=(encoded(file)) download { (file) } }
     }
 }
 
-/// A file's name as a relative address.
+/// A file name as a relative URL.
 pub(crate) fn encoded(name: &str) -> String {
     let mut address = String::from("./");
     for byte in name.bytes() {
@@ -149,7 +160,7 @@ pub(crate) fn count(number: usize, what: &str) -> String {
     if number == 1 { format!("1 {what}") } else { format!("{number} {what}s") }
 }
 
-/// Seconds for people.
+/// A human-readable duration.
 pub(crate) fn duration(seconds: f64) -> String {
     match seconds {
         s if s < 0.95 => format!("{s:.1} s"),

@@ -1,4 +1,4 @@
-//! Where every result comes from, folded; and how to make all of it again.
+//! The provenance of every result, and the commands that reproduce it.
 
 use std::collections::BTreeMap;
 
@@ -8,12 +8,12 @@ use serde_json::Value;
 
 use super::{Section, count, duration};
 
-/// Stages with more instances show the first ones.
+/// Instances shown per stage, at most.
 const MOST_INSTANCES: usize = 200;
-/// Longer values are cut.
+/// Longer values are truncated.
 const LONGEST: usize = 120;
 
-/// All stages, one under the other.
+/// All stages.
 pub(crate) fn section(outcome: &Outcome) -> Section {
     let mut groups: Vec<Vec<&StageOutcome>> = Vec::new();
     for stage in &outcome.stages {
@@ -61,7 +61,7 @@ fn stage(group: &[&StageOutcome]) -> Markup {
     }
 }
 
-/// The parameters that somebody chose, with all values that they take over the instances.
+/// The parameters that differ from the defaults, with all their values over the instances.
 fn parameters(group: &[&StageOutcome]) -> Markup {
     let mut values: BTreeMap<&str, Vec<String>> = BTreeMap::new();
     for (name, value) in group.iter().flat_map(|stage| &stage.chosen) {
@@ -117,9 +117,9 @@ fn state(state: &State) -> &'static str {
     match state {
         State::Done => "up to date",
         State::Running => "running",
-        State::Stale => "to be run",
+        State::Stale => "not run",
         State::Failed(_) => "failed",
-        State::Waiting => "waits for others",
+        State::Waiting => "waiting",
     }
 }
 
@@ -137,12 +137,12 @@ fn cut(text: &str) -> String {
     text.chars().take(LONGEST - 1).chain(['…']).collect()
 }
 
-/// As much of a key or digest as people compare.
+/// The first digits of a key or digest.
 fn short(hex: &str) -> String {
     hex.chars().take(12).collect()
 }
 
-/// How to make all of it again.
+/// The commands that reproduce the results.
 pub(crate) fn reproduce(outcome: &Outcome) -> Section {
     let command = |words: &[&str]| {
         let mut all: Vec<String> = vec!["dril-pipe".to_owned()];
@@ -163,7 +163,7 @@ pub(crate) fn reproduce(outcome: &Outcome) -> Section {
     Section { anchor: "reproduce", title: "Reproduce", body }
 }
 
-/// A word of a command line as a shell reads it.
+/// A word of a command line, quoted for a shell.
 fn quoted(word: &str) -> String {
     let is_plain = |c: char| c.is_alphanumeric() || "-_./=:,@+%".contains(c);
     if !word.is_empty() && word.chars().all(is_plain) {

@@ -49,7 +49,7 @@ pre{background:var(--soft);padding:.75rem;overflow-x:auto;border-radius:4px}
 .keys td,.keys code{overflow-wrap:anywhere}
 .instances td{white-space:nowrap}
 footer{margin-top:3rem;color:var(--quiet);font-size:.875rem}
-@media(max-width:40rem){body{padding:1rem .75rem 2rem}h1{font-size:1.4rem}th,td{padding:.25rem .4rem}figure svg{min-width:38rem}}
+@media(max-width:40rem){body{padding:1rem .75rem 2rem}h1{font-size:1.4rem}th,td{padding:.25rem .4rem}figure:not(.fit) svg{min-width:38rem}}
 @media print{body{max-width:none;padding:0;font-size:10pt}nav{display:none}figure,tr{break-inside:avoid}
 details{border:0;padding:0}details::details-content{content-visibility:visible;display:block;block-size:auto}.wide{overflow:visible}}
 ";

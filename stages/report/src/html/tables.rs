@@ -1,4 +1,4 @@
-//! The tables of the page: the one that says most first, the others folded.
+//! The tables of the report: the largest first, the others folded.
 
 use dril_stage_api::outcome::{Outcome, OutputOutcome, StageOutcome};
 use dril_stage_api::{Artifact, StageError};
@@ -7,10 +7,10 @@ use maud::{Markup, html};
 use super::csvs::Csv;
 use super::{Room, Section, count, grid, link, made, read, title_of};
 
-/// So many tables are shown at all; the rest are links.
+/// Tables shown, at most; the rest are links.
 const MOST_TABLES: usize = 40;
 
-/// The tables of results, but for those that have sections of their own.
+/// The tables, except those with sections of their own.
 fn tables(outcome: &Outcome) -> Vec<(&StageOutcome, &OutputOutcome)> {
     made(outcome, |stage, output| {
         let has_its_own_section = ["findings", "figure"].contains(&stage.kind.as_str());
@@ -33,7 +33,7 @@ fn first_of<'o>(
     Ok(best.map(|(_, _, stage, output, csv)| (stage, output, csv)))
 }
 
-/// The first thing seen.
+/// The section of the main table.
 pub(crate) fn first(outcome: &Outcome) -> Result<Option<Section>, StageError> {
     let Some((stage, output, csv)) = first_of(&tables(outcome))? else { return Ok(None) };
     let body = html! { (table(stage, &csv)) (files(stage, output)) };

@@ -256,3 +256,58 @@ fn what_cannot_be_drawn_is_refused_with_what_was_seen() {
         assert!(message.contains(part), "{params}: {message}");
     }
 }
+
+#[test]
+fn a_mark_stands_across_the_histogram_of_its_measure_and_widens_the_axis() {
+    let params = json!({
+        "title": "t", "layers": { "histogram": { "bins": 4 } },
+        "y": [{ "title": "steering", "columns": ["action_0"], "mark": { "column": "expert_0", "label": "expert" } }]
+    });
+    let bench = Bench::new::<Figure>(&params, 0).unwrap();
+    let path = bench.folder().join("draws.csv");
+    std::fs::write(&path, "action_0,expert_0\n0.1,0.9\n0.2,0.9\n0.4,0.9\n").unwrap();
+    let bench = bench.input("data", &path, &[]);
+    bench.run().unwrap();
+    let (svg, csv) = (output(&bench, "svg"), output(&bench, "csv"));
+    assert!(csv.contains("\nsteering,mark,expert,0.9,,,,\n") || csv.contains("mark,expert,0.9,"), "{csv}");
+    assert!(svg.contains(">expert</text>"), "{svg}");
+    let line = paths(&svg, "#b00020");
+    let places: Vec<f64> = line.iter().flat_map(|data| corners(data)).map(|(x, _)| x).collect();
+    let bars: Vec<f64> =
+        paths(&svg, "#0072b2").iter().flat_map(|data| corners(data)).map(|(x, _)| x).collect();
+    let rightmost = bars.iter().copied().fold(0.0, f64::max);
+    assert!(places.iter().all(|x| *x > rightmost), "{places:?} {rightmost}");
+}
+
+#[test]
+fn a_mark_needs_a_distribution_and_a_rule_names_measures_that_there_are() {
+    let params = json!({
+        "title": "t", "preset": "trace", "y": [{ "title": "a", "columns": ["a"], "mark": { "column": "b", "label": "b" } }],
+        "rules": [{ "y": 1, "measures": ["c"] }]
+    });
+    let problems = dril_stage_api::Kind::of::<Figure>().normalize(&params).unwrap_err();
+    let mut paths: Vec<String> = problems.iter().map(|problem| problem.path.join(".")).collect();
+    paths.sort();
+    assert_eq!(paths, ["rules.0.measures", "y.0.mark"]);
+}
+
+#[test]
+fn a_rule_is_drawn_in_the_panels_of_its_measures_only() {
+    let params = |measures: Value| {
+        let rule = json!({ "y": 0.5, "label": "limit", "measures": measures });
+        json!({ "title": "t", "preset": "trace", "x": "episode", "y": ["score", "u_signal"], "rules": [rule] })
+    };
+    let labels = |measures: Value| drawn(&params(measures), &[30]).0.matches(">limit</text>").count();
+    assert_eq!((labels(json!([])), labels(json!(["score"]))), (2, 1));
+}
+
+#[test]
+fn a_region_is_grey_and_lies_behind_the_data() {
+    let rules = json!([{ "y": [-100, 100], "label": "valid" }]);
+    let params =
+        json!({ "title": "t", "x": "episode", "y": ["score"], "layers": { "points": {} }, "rules": rules });
+    let (svg, _) = drawn(&params, &[30]);
+    let at = |text: &str| svg.find(text).unwrap_or_else(|| panic!("{text}: {svg}"));
+    assert!(at("fill-opacity=\"0.18\"") < at("#0072b2"), "{svg}");
+    assert!(at("#0072b2") < at(">valid</text>"), "the label is readable over the data");
+}

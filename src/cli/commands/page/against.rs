@@ -1,0 +1,143 @@
+//! The other side of `report --against`: an earlier run of the store, or an archive that `cache export` wrote, as plain
+//! data. Its stages are those of which a result is there.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use dril_stage_api::Registry;
+use dril_stage_api::outcome::{Outcome, OutputOutcome, StageOutcome, State};
+
+use crate::cli::commands::inspect::pick_run;
+use crate::error::{Error, ErrorKind};
+use crate::fsx;
+use crate::plan::key_of_record;
+use crate::store::{Key, Record, Store};
+
+/// What the pipeline is compared with; an archive is unpacked into a folder that goes with this value.
+pub(super) struct Other {
+    /// What the page calls it.
+    pub(super) name: String,
+    pub(super) outcome: Outcome,
+    _unpacked: Option<Unpacked>,
+}
+
+impl Other {
+    /// The run or archive that `word` names.
+    ///
+    /// # Errors
+    /// There is none, or the archive cannot be read.
+    pub(super) fn load(word: &str, store: &Store, registry: &Registry) -> Result<Self, Error> {
+        let file = Path::new(word);
+        if matches!(fsx::entry(file)?, Some(fsx::Entry::File(_))) {
+            return Self::of_archive(file, registry);
+        }
+        let run = store.past_run(&pick_run(store, word)?)?;
+        let mut stages = Vec::new();
+        for (id, stage) in &run.stages {
+            if let Some(key) = &stage.key
+                && let Some(record) = store.record(key)?
+            {
+                stages.push(done(id, key, &record, store, registry));
+            }
+        }
+        let outcome = outcome(run.pipeline, run.profile, stages);
+        Ok(Self { name: run.id, outcome, _unpacked: None })
+    }
+
+    fn of_archive(file: &Path, registry: &Registry) -> Result<Self, Error> {
+        let unpacked = Unpacked::new()?;
+        let store = Store::open(&unpacked.0)?;
+        let imported = store.import_archive(file, |record| key_of_record(record).ok())?;
+        if let Some(refusal) = imported.refused.first() {
+            let text = format!("`{}` is damaged: `{}`: {}", file.display(), refusal.name, refusal.why);
+            return Err(Error::new(ErrorKind::Io, text).hint("export the run again"));
+        }
+        let records = store.records()?;
+        let stages = records.iter().map(|(key, record)| done(&record.stage, key, record, &store, registry));
+        let outcome = outcome(String::new(), "of the archive".to_owned(), stages.collect());
+        let name = file.file_name().map_or_else(|| file.to_owned(), PathBuf::from).display().to_string();
+        Ok(Self { name, outcome, _unpacked: Some(unpacked) })
+    }
+}
+
+/// A folder for the contents of an archive, removed when it is dropped.
+struct Unpacked(PathBuf);
+
+impl Unpacked {
+    fn new() -> Result<Self, Error> {
+        let folder = std::env::temp_dir().join(format!("dril-pipe-against-{}", std::process::id()));
+        fsx::create_dir_all(&folder)?;
+        Ok(Self(folder))
+    }
+}
+
+impl Drop for Unpacked {
+    fn drop(&mut self) {
+        // What stays behind is in the folder for temporary files.
+        let _ = fsx::remove_dir_all(&self.0);
+    }
+}
+
+fn outcome(pipeline: String, profile: String, stages: Vec<StageOutcome>) -> Outcome {
+    Outcome { pipeline, profile, first_profile: None, command: Vec::new(), tool: String::new(), stages }
+}
+
+/// A stage whose result is in the store.
+fn done(id: &str, key: &Key, record: &Record, store: &Store, registry: &Registry) -> StageOutcome {
+    let (name, labels) = parts(id);
+    StageOutcome {
+        name: name.to_owned(),
+        id: id.to_owned(),
+        labels,
+        kind: record.kind.clone(),
+        revision: record.revision,
+        params: record.params.clone(),
+        chosen: BTreeMap::new(),
+        seed: record.seed,
+        state: State::Done,
+        key: Some(key.hex()),
+        inputs: Vec::new(),
+        outputs: outputs(record, store, registry),
+        seconds: Some(record.seconds),
+        made_with: BTreeMap::new(),
+    }
+}
+
+/// The outputs whose types are known: those of kinds that this program has.
+fn outputs(record: &Record, store: &Store, registry: &Registry) -> Vec<OutputOutcome> {
+    let ports = registry.get(&record.kind).and_then(|kind| kind.ports(&record.params).ok());
+    let output = |port: &dril_stage_api::Output| {
+        let stored = record.outputs.get(port.name).filter(|stored| !stored.folder)?;
+        Some(OutputOutcome {
+            name: port.name.to_owned(),
+            artifact: port.artifact,
+            extension: port.extension.to_owned(),
+            digest: stored.digest.hex(),
+            bytes: stored.bytes,
+            path: store.blob_path(&stored.digest),
+            file: None,
+        })
+    };
+    ports.iter().flat_map(|ports| &ports.outputs).filter_map(output).collect()
+}
+
+/// Name and coordinates of an instance, `clone[policy=beta, demonstrations=1]`.
+fn parts(id: &str) -> (&str, Vec<(String, String)>) {
+    let Some((name, rest)) = id.split_once('[') else { return (id, Vec::new()) };
+    let pair = |text: &str| text.split_once('=').map(|(axis, value)| (axis.to_owned(), value.to_owned()));
+    (name, rest.trim_end_matches(']').split(", ").filter_map(pair).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_instance_is_its_name_and_its_coordinates() {
+        let (name, labels) = parts("clone[policy=beta, demonstrations=1]");
+        assert_eq!(name, "clone");
+        let expected = [("policy", "beta"), ("demonstrations", "1")];
+        assert_eq!(labels, expected.map(|(axis, value)| (axis.to_owned(), value.to_owned())));
+        assert_eq!(parts("table"), ("table", Vec::new()));
+    }
+}
