@@ -1,4 +1,4 @@
-//! `cargo xtask demo`: from a fresh clone to Table 22 at smoke size, in one command.
+//! `cargo xtask demo`: from a fresh clone to Table 22 at smoke size and a lap of a trained agent, in one command.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -43,6 +43,8 @@ fn show(results: &Path) -> Result<(), Error> {
     let table = results.join("table22.md");
     let text = fs::read_to_string(&table).map_err(Error::io("read", &table))?;
     println!("\n{}\nAll tables and figures: {}", text.trim_end(), results.display());
+    println!("A lap of an agent that was trained before: {}", results.join("laps.gif").display());
+    println!("The report, with both: {}", results.join("report.html").display());
     Ok(())
 }
 

@@ -9,6 +9,7 @@ mod error;
 mod host;
 mod install;
 mod libtorch;
+mod pages;
 mod process;
 mod test;
 mod wheels;

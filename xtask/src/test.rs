@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use crate::error::Error;
-use crate::{libtorch, process};
+use crate::{libtorch, pages, process};
 
 /// One check: what it is called in the summary, and cargo's arguments.
 struct Step {
@@ -52,7 +52,8 @@ enum Outcome {
 /// [`Error::Steps`] names the steps that failed; a skipped one (a component is missing) is reported, but no failure.
 pub fn run(root: &Path) -> Result<(), Error> {
     libtorch::ensure(root)?;
-    let results: Vec<_> = STEPS.iter().map(|step| run_step(root, step)).collect();
+    let mut results: Vec<_> = STEPS.iter().map(|step| run_step(root, step)).collect();
+    results.push(check_pages(root));
     println!("\n{}", summary(&results));
     let failed = results.iter().filter(|result| result.1 == Outcome::Failed).map(|result| result.0).collect();
     verdict(failed)
@@ -75,6 +76,24 @@ fn run_step(root: &Path, step: &Step) -> (&'static str, Outcome, Duration) {
         },
     };
     (step.name, outcome, start.elapsed())
+}
+
+/// Report pages in a browser, where there is one.
+fn check_pages(root: &Path) -> (&'static str, Outcome, Duration) {
+    let start = Instant::now();
+    println!();
+    let outcome = match pages::check(root) {
+        Ok(None) => Outcome::Passed,
+        Ok(Some(reason)) => {
+            println!("SKIPPED report pages in a browser: {reason}");
+            Outcome::Skipped
+        }
+        Err(error) => {
+            eprintln!("error: {error}");
+            Outcome::Failed
+        }
+    };
+    ("pages", outcome, start.elapsed())
 }
 
 fn is_installed(root: &Path, command: &str) -> bool {
