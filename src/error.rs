@@ -1,4 +1,4 @@
-//! The one error at the top of the program: what could not be done, and how to mend it. Its kind is its exit code.
+//! The top-level error of the program: what failed, and how to fix it. Its kind decides the exit code.
 
 use std::fmt;
 
@@ -9,27 +9,27 @@ use crate::resolve::NoStage;
 use crate::spec::Diagnostics;
 use crate::store::StoreError;
 
-/// What the program's exit codes mean. They are stable: scripts may rely on them.
+/// The exit codes. They are stable: scripts may rely on them.
 pub mod exit_codes {
-    /// Everything that was asked for is done.
+    /// Success.
     pub const OK: u8 = 0;
-    /// A stage failed; what does not depend on it was still done.
+    /// A stage failed; stages that do not depend on it were run.
     pub const STAGE_FAILED: u8 = 1;
-    /// The command line is wrong.
+    /// Invalid command line.
     pub const USAGE: u8 = 2;
-    /// The pipeline file is wrong, or a file that it names is not there. Nothing ran.
+    /// Invalid pipeline file, or a file that it names is missing. Nothing ran.
     pub const PIPELINE: u8 = 3;
-    /// The store, the results folder or another file could not be read or written, or a program is missing.
+    /// The cache, the results folder or another file cannot be read or written, or an executable is missing.
     pub const IO: u8 = 4;
-    /// A check did not hold: the store is damaged, or results are not what they were.
+    /// A check failed: the cache is damaged, or results differ from the lock file or from an earlier run.
     pub const CHECK_FAILED: u8 = 5;
-    /// The time of `run --for` was over; the next run goes on from there.
+    /// The time limit of `run --for` was reached; the next run resumes.
     pub const OUT_OF_TIME: u8 = 6;
-    /// Stopped by SIGINT, SIGTERM or SIGHUP; the next run goes on from there.
+    /// Stopped by SIGINT, SIGTERM or SIGHUP; the next run resumes.
     pub const INTERRUPTED: u8 = 130;
 }
 
-/// What an error is about, and so the exit code that it ends in.
+/// The category of an error, which decides the exit code.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ErrorKind {
     /// [`exit_codes::USAGE`].
@@ -64,8 +64,7 @@ impl ErrorKind {
     }
 }
 
-/// Why a command did not do what it was asked to. Displays as the full text for the terminal, each problem opened by
-/// `error:`, the remedies as `hint:`.
+/// Why a command failed. Displays as the full text for the terminal: each problem after `error:`, remedies after `hint:`.
 #[derive(Debug)]
 pub struct Error {
     kind: ErrorKind,
@@ -74,24 +73,24 @@ pub struct Error {
 }
 
 impl Error {
-    /// An error of that kind.
+    /// An error of this kind.
     pub fn new(kind: ErrorKind, source: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Self {
         Self { kind, source: source.into(), hints: Vec::new() }
     }
 
-    /// Adds how to mend it.
+    /// Adds a remedy.
     #[must_use]
     pub fn hint(mut self, hint: impl Into<String>) -> Self {
         self.hints.push(hint.into());
         self
     }
 
-    /// What it is about.
+    /// Its category.
     pub fn kind(&self) -> ErrorKind {
         self.kind
     }
 
-    /// The text of the error alone, without `error:` and hints.
+    /// The message without `error:` and hints.
     pub fn message(&self) -> String {
         self.source.to_string().trim_end().to_owned()
     }
@@ -101,7 +100,7 @@ impl fmt::Display for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let text = self.message();
         if self.source.is::<Diagnostics>() {
-            // These open every problem themselves.
+            // These write `error:` before every problem themselves.
             writeln!(f, "{text}")?;
         } else if let Some(PlanError::Files(files)) = self.source.downcast_ref() {
             for file in files {
@@ -137,7 +136,7 @@ impl From<FsError> for Error {
 
 impl From<StoreError> for Error {
     fn from(error: StoreError) -> Self {
-        Self::new(ErrorKind::Io, error).hint("another store can be given by `--cache DIR` or DRIL_PIPE_CACHE")
+        Self::new(ErrorKind::Io, error).hint("use another cache folder with `--cache DIR` or DRIL_PIPE_CACHE")
     }
 }
 
@@ -176,7 +175,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_error_says_what_and_how_to_mend_it() {
+    fn an_error_has_a_message_and_hints() {
         let error = Error::new(ErrorKind::Io, "cannot write `results`: disk full").hint("make room");
         assert_eq!(error.to_string(), "error: cannot write `results`: disk full\n  = hint: make room\n");
         assert_eq!(error.kind().exit_code(), exit_codes::IO);

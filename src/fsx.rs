@@ -1,5 +1,5 @@
-//! Files, with the path in every error. The only user of `std::fs` in the engine, so that what touches the disk, and in
-//! which order it becomes durable, can be read in one place.
+//! File operations with the path in every error. This is the only user of `std::fs` in the engine, so that everything that touches
+//! the disk, and the order in which it becomes durable, is in one place.
 
 mod copies;
 mod dir;
@@ -26,15 +26,15 @@ pub use links::{be_a_file, link_target, real, symlink, symlink_into};
 pub use lock::Lock;
 pub use tail::tail;
 
-/// What was tried on which path, and the system's answer.
+/// An operation failed: what was tried on which path, and the system's error.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot {action} `{path}`: {source}", path = path.display())]
 pub struct FsError {
     /// What was tried, as in "read".
     pub action: &'static str,
-    /// On what.
+    /// The path.
     pub path: PathBuf,
-    /// The system's answer.
+    /// The system's error.
     pub source: io::Error,
 }
 
@@ -62,10 +62,10 @@ fn if_there<T>(action: &'static str, path: &Path, result: io::Result<T>) -> Resu
     }
 }
 
-/// What is at a path, links not followed.
+/// The type of a file, links not followed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Entry {
-    /// A regular file of so many bytes.
+    /// A regular file with its size in bytes.
     File(u64),
     /// A folder.
     Folder,
@@ -73,12 +73,9 @@ pub enum Entry {
     Other,
 }
 
-/// What is at `path`; `None` where nothing is.
-///
-/// # Errors
-/// It cannot be looked at.
+/// The type of the file at `path`; `None` where there is none.
 pub fn entry(path: &Path) -> Result<Option<Entry>> {
-    let meta = if_there("look at", path, std::fs::symlink_metadata(path))?;
+    let meta = if_there("access", path, std::fs::symlink_metadata(path))?;
     Ok(meta.map(|meta| match meta {
         meta if meta.is_file() => Entry::File(meta.len()),
         meta if meta.is_dir() => Entry::Folder,
@@ -92,7 +89,7 @@ pub fn is_pipe(file: &impl std::os::fd::AsFd) -> bool {
         .is_ok_and(|stat| rustix::fs::FileType::from_raw_mode(stat.st_mode) == rustix::fs::FileType::Fifo)
 }
 
-/// The whole file; `None` where there is none.
+/// Reads a file; `None` where there is none.
 ///
 /// # Errors
 /// It is there and cannot be read.
@@ -100,55 +97,37 @@ pub fn read_if_there(path: &Path) -> Result<Option<Vec<u8>>> {
     if_there("read", path, std::fs::read(path))
 }
 
-/// The whole file.
-///
-/// # Errors
-/// It cannot be read.
+/// Reads a file.
 pub fn read(path: &Path) -> Result<Vec<u8>> {
     std::fs::read(path).map_err(FsError::at("read", path))
 }
 
-/// When a file's content was last changed, by the clock of then; `None` where there is none.
-///
-/// # Errors
-/// It cannot be looked at.
+/// The modification time of a file; `None` where there is none.
 pub fn modified(path: &Path) -> Result<Option<std::time::SystemTime>> {
-    let Some(meta) = if_there("look at", path, std::fs::symlink_metadata(path))? else { return Ok(None) };
-    meta.modified().map(Some).map_err(FsError::at("look at", path))
+    let Some(meta) = if_there("access", path, std::fs::symlink_metadata(path))? else { return Ok(None) };
+    meta.modified().map(Some).map_err(FsError::at("access", path))
 }
 
-/// What tells a file from another one and from what it was before: device, number, size and times.
-///
-/// # Errors
-/// It cannot be looked at.
+/// Identifies a file and its state: device, inode, size and times.
 pub fn identity(path: &Path) -> Result<String> {
-    let meta = std::fs::metadata(path).map_err(FsError::at("look at", path))?;
+    let meta = std::fs::metadata(path).map_err(FsError::at("access", path))?;
     let (modified, changed) = ((meta.mtime(), meta.mtime_nsec()), (meta.ctime(), meta.ctime_nsec()));
     Ok(format!("{}:{}:{}:{modified:?}:{changed:?}", meta.dev(), meta.ino(), meta.len()))
 }
 
-/// True where anybody has the right to write into a file.
-///
-/// # Errors
-/// It cannot be looked at.
+/// True where a file is writable for anybody.
 pub fn is_writable(path: &Path) -> Result<bool> {
-    let meta = std::fs::symlink_metadata(path).map_err(FsError::at("look at", path))?;
+    let meta = std::fs::symlink_metadata(path).map_err(FsError::at("access", path))?;
     Ok(meta.permissions().mode() & 0o222 != 0)
 }
 
-/// True where somebody has the right to execute a file.
-///
-/// # Errors
-/// It cannot be looked at.
+/// True where a file is executable for anybody.
 pub fn is_executable(path: &Path) -> Result<bool> {
-    let meta = std::fs::symlink_metadata(path).map_err(FsError::at("look at", path))?;
+    let meta = std::fs::symlink_metadata(path).map_err(FsError::at("access", path))?;
     Ok(meta.permissions().mode() & 0o111 != 0)
 }
 
-/// Sets the time of a file's last change to now.
-///
-/// # Errors
-/// It cannot be written.
+/// Sets the modification time of a file to now.
 pub fn touch(path: &Path) -> Result<()> {
     let file = OpenOptions::new().append(true).open(path).map_err(FsError::at("open", path))?;
     file.set_modified(std::time::SystemTime::now()).map_err(FsError::at("touch", path))
@@ -157,50 +136,41 @@ pub fn touch(path: &Path) -> Result<()> {
 /// Opens a regular file for reading.
 ///
 /// # Errors
-/// It cannot be opened, or is a folder or something else that is no file.
+/// It cannot be opened, or is not a regular file.
 pub fn open(path: &Path) -> Result<File> {
     let file = File::open(path).map_err(FsError::at("open", path))?;
-    let meta = file.metadata().map_err(FsError::at("look at", path))?;
+    let meta = file.metadata().map_err(FsError::at("access", path))?;
     if meta.is_file() {
         return Ok(file);
     }
-    let seen = if meta.is_dir() { "it is a folder" } else { "it is no regular file" };
+    let seen = if meta.is_dir() { "it is a folder" } else { "it is not a regular file" };
     Err(FsError::at("read", path)(io::Error::other(format!("{seen}, expected a file"))))
 }
 
-/// Opens a file for appending, making it where there is none.
-///
-/// # Errors
-/// It cannot be opened.
+/// Opens a file for appending; creates it where there is none.
 pub fn open_append(path: &Path) -> Result<File> {
     step("append", path)?;
     OpenOptions::new().append(true).create(true).open(path).map_err(FsError::at("open", path))
 }
 
-/// Appends to a file in one call, making it where there is none.
-///
-/// # Errors
-/// It cannot be written.
+/// Appends to a file in one call; creates it where there is none.
 pub fn append(path: &Path, bytes: &[u8]) -> Result<()> {
     write_all(&mut open_append(path)?, path, bytes)
 }
 
-/// Makes a folder; it must not be there yet.
+/// Creates a folder, which must not exist.
 ///
 /// # Errors
-/// It is there, or cannot be made.
+/// It exists, or cannot be created.
 pub fn create_dir(path: &Path) -> Result<()> {
     step("make", path)?;
-    std::fs::create_dir(path).map_err(FsError::at("make the folder", path))
+    std::fs::create_dir(path).map_err(FsError::at("create the folder", path))
 }
 
-/// Makes a folder and those above it; one that is there is fine.
-///
-/// # Errors
-/// It cannot be made.
+/// Creates a folder and its parents; an existing one is fine.
 pub fn create_dir_all(path: &Path) -> Result<()> {
     step("make", path)?;
-    std::fs::create_dir_all(path).map_err(FsError::at("make the folder", path))
+    std::fs::create_dir_all(path).map_err(FsError::at("create the folder", path))
 }
 
 /// Removes a file; true where there was one.
@@ -212,7 +182,7 @@ pub fn remove_file(path: &Path) -> Result<bool> {
     Ok(if_there("remove", path, std::fs::remove_file(path))?.is_some())
 }
 
-/// Removes a folder and all that is in it; one that is not there is fine.
+/// Removes a folder with its contents; a missing one is fine.
 ///
 /// # Errors
 /// It is there and cannot be removed.
@@ -221,10 +191,7 @@ pub fn remove_dir_all(path: &Path) -> Result<()> {
     if_there("remove the folder", path, std::fs::remove_dir_all(path)).map(drop)
 }
 
-/// The names in a folder, sorted; empty where there is no folder.
-///
-/// # Errors
-/// It cannot be listed.
+/// The paths in a folder, sorted; empty where there is no folder.
 pub fn list(path: &Path) -> Result<Vec<PathBuf>> {
     let Some(entries) = if_there("list", path, std::fs::read_dir(path))? else { return Ok(Vec::new()) };
     let mut found = Vec::new();
@@ -235,19 +202,13 @@ pub fn list(path: &Path) -> Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// Moves `from` to `to`, over what is there.
-///
-/// # Errors
-/// It cannot be moved.
+/// Moves `from` to `to`, replacing an existing file.
 pub fn rename(from: &Path, to: &Path) -> Result<()> {
     step("rename", to)?;
     std::fs::rename(from, to).map_err(FsError::at("move a file to", to))
 }
 
-/// As [`rename`], and makes the folder of `to` where that is missing. True where it was.
-///
-/// # Errors
-/// It cannot be moved.
+/// As [`rename`]; creates the folder of `to` if it is missing. True where it was missing.
 pub fn rename_into(from: &Path, to: &Path) -> Result<bool> {
     match (rename(from, to), to.parent()) {
         (Err(error), Some(folder)) if error.is_not_found() => {
@@ -264,45 +225,33 @@ pub fn stamp(path: &Path) -> Option<(u64, i128)> {
     Some((meta.len(), i128::from(meta.mtime()) * 1_000_000_000 + i128::from(meta.mtime_nsec())))
 }
 
-/// Takes the right to write from everybody.
+/// Makes a file read-only for everybody.
 ///
 /// # Errors
-/// It is not ours.
+/// It belongs to another user.
 pub fn make_read_only(file: &File, path: &Path) -> Result<()> {
     step("chmod", path)?;
     file.set_permissions(Permissions::from_mode(0o444)).map_err(FsError::at("make read-only", path))
 }
 
 /// Makes the file durable.
-///
-/// # Errors
-/// The disk refuses.
 pub fn sync(file: &File, path: &Path) -> Result<()> {
     step("sync", path)?;
     file.sync_all().map_err(FsError::at("sync", path))
 }
 
 /// Makes the names in a folder durable.
-///
-/// # Errors
-/// The disk refuses.
 pub fn sync_dir(path: &Path) -> Result<()> {
     sync(&File::open(path).map_err(FsError::at("open", path))?, path)
 }
 
-/// Writes a new file, without a promise about power failures.
-///
-/// # Errors
-/// It cannot be written.
+/// Writes a new file, which may not survive a power failure.
 pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
     step("write", path)?;
     write_all(&mut File::create(path).map_err(FsError::at("write", path))?, path, bytes)
 }
 
 /// Writes a new file and makes its content durable.
-///
-/// # Errors
-/// It cannot be written.
 pub fn write_synced(path: &Path, bytes: &[u8]) -> Result<()> {
     step("write", path)?;
     let mut file = File::create(path).map_err(FsError::at("write", path))?;
@@ -310,11 +259,10 @@ pub fn write_synced(path: &Path, bytes: &[u8]) -> Result<()> {
     sync(&file, path)
 }
 
-/// Writes a file so that it is there in full or not at all, also after a power failure: a temporary file beside it,
-/// synced, then renamed over what is there.
+/// Writes a file atomically, also with respect to power failures: writes a temporary file beside it, syncs it, and renames it.
 ///
 /// # Errors
-/// It cannot be written; what was there is still there.
+/// It cannot be written; the old file is unchanged.
 pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<()> {
     place(path, |file| write_all(file, path, bytes))
 }
@@ -322,13 +270,12 @@ pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<()> {
 /// As [`write_atomic`], with content that `fill` writes.
 ///
 /// # Errors
-/// It cannot be written, or `fill` fails; what was there is still there.
+/// It cannot be written, or `fill` fails; the old file is unchanged.
 pub fn fill_atomic(path: &Path, fill: impl FnOnce(&mut File) -> Result<()>) -> Result<()> {
     place(path, fill)
 }
 
-/// Writes all that can be read from `from` to the new file `path`, without a promise about power failures. The number of
-/// bytes.
+/// Writes everything from `from` to the new file `path`, which may not survive a power failure. Returns the number of bytes.
 ///
 /// # Errors
 /// `from` cannot be read or `path` cannot be written.
@@ -338,7 +285,7 @@ pub fn write_from(path: &Path, mut from: impl Read) -> Result<u64> {
     io::copy(&mut from, &mut file).map_err(FsError::at("write", path))
 }
 
-/// Copies `from` to `to` so that `to` is there in full or not at all.
+/// Copies `from` to `to` atomically.
 ///
 /// # Errors
 /// `from` cannot be read or `to` cannot be written.
@@ -347,7 +294,7 @@ pub fn copy_atomic(from: &Path, to: &Path) -> Result<()> {
     place(to, |file| io::copy(&mut source, file).map(drop).map_err(FsError::at("write", to)))
 }
 
-/// Copies `from` to the new file `to`, without a promise about power failures.
+/// Copies `from` to the new file `to`, which may not survive a power failure.
 ///
 /// # Errors
 /// `from` cannot be read or `to` cannot be written.
@@ -355,7 +302,7 @@ pub fn copy(from: &Path, to: &Path) -> Result<()> {
     copy_from(&mut open(from)?, from, to)
 }
 
-/// Copies what `source` reads, which is called `name`, to the new file `to`, without a promise about power failures.
+/// Copies the open file `source`, called `name` in errors, to the new file `to`, which may not survive a power failure.
 ///
 /// # Errors
 /// `source` cannot be read or `to` cannot be written.
@@ -368,7 +315,7 @@ pub fn copy_from(source: &mut impl Read, name: &Path, to: &Path) -> Result<()> {
 fn place(path: &Path, fill: impl FnOnce(&mut File) -> Result<()>) -> Result<()> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     step("write", path)?;
-    // The user's own mask, as for any new file: the library's default would hide it from everybody else.
+    // With the user's umask, as for any new file: the library's default would hide it from other users.
     let mut temporary = tempfile::Builder::new()
         .prefix(".tmp-")
         .permissions(Permissions::from_mode(0o666))
@@ -392,10 +339,7 @@ fn write_all(file: &mut File, path: &Path, bytes: &[u8]) -> Result<()> {
     file.write_all(bytes).map_err(FsError::at("write", path))
 }
 
-/// The first byte in which two files differ, from 0; where one begins with the other, the length of the shorter one.
-///
-/// # Errors
-/// One cannot be read.
+/// The first byte at which two files differ, from 0; if one is a prefix of the other, its length.
 pub fn first_difference(one: &Path, other: &Path) -> Result<u64> {
     let (mut first, mut second) = (io::BufReader::new(open(one)?), io::BufReader::new(open(other)?));
     let mut at = 0;

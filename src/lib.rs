@@ -4,16 +4,18 @@
 //!
 //! | phase | from | to | does |
 //! |---|---|---|---|
-//! | [`spec`] | YAML text | [`spec::Spec`] | reads, keeps where everything stands; no I/O |
+//! | [`spec`] | YAML text | [`spec::Spec`] | parses, keeps the place of every value; no I/O |
 //! | [`resolve`] | `Spec` + choices + registry | [`resolve::Graph`] | profiles, overrides, matrices, wiring, type check; no I/O |
 //! | [`plan`] | `Graph` + store | [`plan::Plan`] | keys, what would run and why; reads records only |
-//! | [`exec`] | `Plan` + store | [`exec::Outcome`] | runs stages in child processes, publishes their outputs |
+//! | [`exec`] | `Plan` + store | [`exec::Executed`] | runs stages in child processes, publishes their outputs |
+//! | [`session`] | pipeline file + store | [`session::Finished`] | all of the above, results folder and lock file |
 //! | [`store`] | | | content-addressed blobs, records, locks |
-//! | [`cli`] | arguments | exit code | the only one that prints, reads the environment or exits |
+//! | [`cli`] | arguments | exit code | the only module that prints, reads the environment or exits |
 //!
-//! [`kinds`] has the stage kinds that serve every experiment: any program, and files from outside.
+//! [`kinds`] has the built-in stage kinds: any program, and files from outside.
 //!
-//! The engine knows nothing about learning: stage kinds come in through [`dril_stage_api::Registry`].
+//! The engine knows nothing about learning: stage kinds, artifact types and tools are registered by `main`. To run a pipeline from
+//! Rust, see [`Session`].
 
 pub mod cli;
 pub mod error;

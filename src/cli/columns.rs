@@ -1,15 +1,15 @@
 //! Rows of text in columns; the last column is wrapped.
 
-/// Cells wider than this part of the room do not push the other columns away.
+/// Cells wider than this share of the width do not push other columns away.
 const PART: usize = 4;
-/// But up to this width every cell does.
+/// Cells up to this width always fit.
 const NARROW: usize = 24;
-/// And from this width on none does.
+/// Cells from this width on never push other columns away.
 const WIDE: usize = 44;
-/// With less room than this, the last column goes below the others.
+/// With less width than this, the last column goes below the others.
 const NARROWEST: usize = 24;
 
-/// Gives a padded cell of a column its colour.
+/// Colours a padded cell of a column.
 pub(super) type Paint<'a> = &'a dyn Fn(usize, String) -> String;
 
 /// The rows (all of equal length), indented by two, in lines of at most `room` columns where the words allow it.
@@ -32,7 +32,7 @@ pub(super) fn render(rows: &[Vec<String>], room: usize, paint: Paint<'_>) -> Str
         let words = row.last().map(String::as_str).unwrap_or_default();
         let lines = wrap(words, room.saturating_sub(indent).max(16));
         for (number, part) in lines.into_iter().enumerate() {
-            // On a line without an end, a row that is too long is better left on one line: it can be searched.
+            // With unlimited width, a long row stays on one line, so that it can be searched.
             let beside = number == 0 && !below && (!overflows || room == usize::MAX);
             if !beside {
                 text += line.trim_end();

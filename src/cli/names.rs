@@ -1,4 +1,4 @@
-//! How several instances of a stage are named in one word: `dril × 8`, `clone[policy=beta] × 4`.
+//! Short names for groups of stage instances: `dril × 8`, `clone[policy=beta] × 4`.
 
 use std::collections::{BTreeMap, BTreeSet};
 

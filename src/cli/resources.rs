@@ -1,4 +1,4 @@
-//! How many units there are of what stages ask for (`--resources gpu=2`), and what they are called.
+//! The units of each counted resource (`--resources gpu=2`), with their names.
 
 use std::path::Path;
 
@@ -6,13 +6,13 @@ use crate::error::{Error, ErrorKind};
 use crate::exec::Units;
 use crate::fsx;
 
-/// What the system calls the graphics cards that a program may use; `CUDA_VISIBLE_DEVICES` of this program limits its stages.
+/// The variable that lists the GPUs that a program may use; that of this program limits its stages.
 const GPUS: &str = "CUDA_VISIBLE_DEVICES";
 
 /// The units of each resource.
 ///
 /// # Errors
-/// More cards are asked for than CUDA_VISIBLE_DEVICES lets this program see, or a resource is given twice.
+/// More GPUs than `CUDA_VISIBLE_DEVICES` lists, or a resource is given twice.
 pub(super) fn units(given: &[(String, u32)]) -> Result<Units, Error> {
     let visible = std::env::var(GPUS).ok().filter(|list| !list.trim().is_empty());
     units_with(given, visible.as_deref(), cards())
@@ -27,7 +27,7 @@ fn units_with(given: &[(String, u32)], visible: Option<&str>, cards: usize) -> R
         let count = *count as usize;
         let of_it = match &visible {
             Some(visible) if name == "gpu" && count > visible.len() => {
-                let message = format!("`--resources gpu={count}`, but {GPUS} names {}", visible.len());
+                let message = format!("`--resources gpu={count}`, but {GPUS} lists {}", visible.len());
                 return Err(Error::new(ErrorKind::Usage, message));
             }
             Some(visible) if name == "gpu" => visible[..count].to_vec(),
@@ -43,7 +43,7 @@ fn units_with(given: &[(String, u32)], visible: Option<&str>, cards: usize) -> R
     Ok(units)
 }
 
-/// Graphics cards for CUDA, as the system shows them.
+/// The number of CUDA GPUs, from `/dev`.
 fn cards() -> usize {
     let names = fsx::list(Path::new("/dev")).unwrap_or_default().into_iter();
     let is_card = |name: &str| {
@@ -58,7 +58,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn cards_are_those_that_this_program_may_use() {
+    fn gpus_are_those_that_this_program_may_use() {
         let of = |given: &[(&str, u32)], visible, cards| {
             let given: Vec<_> = given.iter().map(|(name, count)| ((*name).to_owned(), *count)).collect();
             units_with(&given, visible, cards)
@@ -69,7 +69,7 @@ mod tests {
         assert_eq!(of(&[], None, 4).as_deref(), Ok("0 1 2 3"));
         assert_eq!(of(&[], Some("2, 5"), 8).as_deref(), Ok("2 5"));
         assert_eq!(of(&[("gpu", 1), ("licence", 3)], Some("2,5"), 8).as_deref(), Ok("2"));
-        assert!(of(&[("gpu", 3)], Some("2,5"), 8).unwrap_err().contains("CUDA_VISIBLE_DEVICES names 2"));
+        assert!(of(&[("gpu", 3)], Some("2,5"), 8).unwrap_err().contains("CUDA_VISIBLE_DEVICES lists 2"));
         assert!(of(&[("gpu", 1), ("gpu", 2)], None, 8).unwrap_err().contains("twice"));
     }
 }

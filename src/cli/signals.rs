@@ -1,5 +1,5 @@
-//! SIGINT and SIGTERM: the first asks the run to stop, the second ends the program at once. SIGHUP, of a terminal or a line
-//! that is gone, asks the run to stop, however often it comes: a terminal sends it more than once.
+//! Signals: the first SIGINT or SIGTERM asks the run to stop, the second one ends the program immediately. SIGHUP (a closed
+//! terminal or connection) asks the run to stop, however often it comes: terminals send it more than once.
 
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
@@ -11,28 +11,28 @@ use signal_hook::flag;
 use crate::error::{Error, ErrorKind, exit_codes};
 use crate::fsx;
 
-/// One for the program: `watch` runs a pipeline many times.
+/// One flag per process: `watch` runs a pipeline many times.
 static STOP: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 
-/// A flag that the first signal raises. After that, another signal ends the program where it stands; the stages that run
-/// die with it, and the store is whole at any moment.
+/// A flag that the first signal sets. A second signal ends the program immediately; running stages die with it, and the store
+/// is consistent at any moment.
 ///
 /// # Errors
-/// The system refuses.
+/// The signal handlers cannot be installed.
 pub(super) fn stop_flag() -> Result<Arc<AtomicBool>, Error> {
     if let Some(stop) = STOP.get() {
         return Ok(Arc::clone(stop));
     }
     let stop = Arc::new(AtomicBool::new(false));
-    let failed = |error| Error::new(ErrorKind::Io, format!("cannot listen to signals: {error}"));
+    let failed = |error| Error::new(ErrorKind::Io, format!("cannot install signal handlers: {error}"));
     for signal in [SIGINT, SIGTERM] {
-        // In this order: the shutdown looks at the flag before this signal raises it.
+        // In this order: the shutdown handler checks the flag before this signal sets it.
         let code = i32::from(exit_codes::INTERRUPTED);
         flag::register_conditional_shutdown(signal, code, Arc::clone(&stop))
             .and_then(|_| flag::register(signal, Arc::clone(&stop)))
             .map_err(failed)?;
     }
-    // Whoever started it with `nohup` wants it to go on.
+    // Under `nohup` the run goes on.
     if !hangup_is_ignored() {
         flag::register(SIGHUP, Arc::clone(&stop)).map_err(failed)?;
     }

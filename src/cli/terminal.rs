@@ -1,5 +1,5 @@
-//! What the output goes to: colours or none, moving lines or none, how wide. Reads the environment so that others need
-//! not, and makes text from outside safe to print.
+//! Properties of the output: colours, live updates, width. Reads the environment so that other files need not, and makes text
+//! from outside safe to print.
 
 use std::env;
 use std::fmt::Write as _;
@@ -14,14 +14,14 @@ use crate::error::{Error, ErrorKind};
 pub(super) struct Terminal {
     /// Use colours.
     pub colour: bool,
-    /// Lines may be drawn over.
+    /// Lines can be redrawn.
     pub live: bool,
-    /// Columns; `None` where lines may be as long as they are.
+    /// Width in columns; `None` for unlimited.
     pub width: Option<usize>,
 }
 
 impl Terminal {
-    /// No colours, nothing moves, no width: a file or a pipe.
+    /// A file or a pipe: no colours, no live updates, unlimited width.
     #[cfg(test)]
     pub const PLAIN: Self = Self { colour: false, live: false, width: None };
 
@@ -53,7 +53,7 @@ impl Terminal {
         if self.colour { format!("\x1b[{}m{text}\x1b[0m", style.code()) } else { text.to_owned() }
     }
 
-    /// A text of `error:` and `hint:` lines, with these words in colour.
+    /// Colours the words `error:` and `hint:` in a text.
     pub fn paint_errors(self, text: &str) -> String {
         if !self.colour {
             return text.to_owned();
@@ -73,20 +73,20 @@ impl Terminal {
     }
 }
 
-/// What a piece of text is, for its colour.
+/// The meaning of a piece of text, for its colour.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Style {
-    /// It went well.
+    /// Success.
     Good,
-    /// It failed.
+    /// Failure.
     Bad,
-    /// It deserves a look.
+    /// Needs attention.
     Notable,
-    /// It is there for completeness.
+    /// Secondary.
     Quiet,
-    /// It helps.
+    /// A hint.
     Hint,
-    /// It is what the line is about.
+    /// The subject of the line.
     Strong,
 }
 
@@ -103,7 +103,7 @@ impl Style {
     }
 }
 
-/// Writes `text` to standard output. A reader that has gone (`| head`) is no error.
+/// Writes `text` to stdout. A closed pipe (`| head`) is not an error.
 ///
 /// # Errors
 /// It cannot be written for any other reason.
@@ -111,19 +111,19 @@ pub(super) fn print(text: &str) -> Result<(), Error> {
     let mut out = io::stdout().lock();
     match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
         Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
-            Err(Error::new(ErrorKind::Io, format!("cannot write to standard output: {error}")))
+            Err(Error::new(ErrorKind::Io, format!("cannot write to stdout: {error}")))
         }
         _ => Ok(()),
     }
 }
 
-/// Writes an error's text to standard error.
+/// Writes an error to stderr.
 pub(super) fn print_error(text: &str) {
-    // There is nobody left to tell if this fails.
+    // If this fails, there is nowhere left to report it.
     let _ = io::stderr().lock().write_all(Terminal::stderr().paint_errors(text).as_bytes());
 }
 
-/// Makes text of a stage or a file safe for a terminal: colour sequences are cut out, other control characters replaced.
+/// Makes text from a stage or a file safe for a terminal: removes colour sequences and replaces other control characters.
 pub(super) fn printable(text: &str) -> String {
     let mut safe = String::with_capacity(text.len());
     let mut chars = text.chars().peekable();
@@ -147,7 +147,7 @@ pub(super) fn printable(text: &str) -> String {
     safe
 }
 
-/// A path as people would type it here: relative where it is below the current folder.
+/// A path for people: relative where it is below the current folder.
 pub(super) fn shown(path: &Path) -> String {
     let here = env::current_dir().ok();
     let below = here.and_then(|here| path.strip_prefix(here).ok());
@@ -196,7 +196,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn times_are_told_in_the_two_units_that_matter() {
+    fn times_have_the_two_largest_units() {
         let told = |seconds: f64| duration(Duration::from_secs_f64(seconds));
         let cases = [
             (0.0, "0.00 s"),
@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn an_estimate_does_not_pretend_to_know_more_than_it_does() {
+    fn an_estimate_is_rounded() {
         let told = |seconds| estimate(Duration::from_millis(seconds));
         assert_eq!(
             [told(300), told(99_900), told(100_000), told(3_570_000)],

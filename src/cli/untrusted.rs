@@ -1,6 +1,6 @@
-//! Everything that this program reads from files which somebody else may have written, each as a function of bytes: for
-//! the fuzzers in `fuzz/`, and for the test that calls the same functions in every test run. A function returns where the
-//! bytes are nonsense and where they are not; what it asserts holds for all bytes.
+//! Entry points for fuzzing: every format that this program reads and that somebody else may have written, as a function of
+//! bytes. The fuzzers in `fuzz/` and a test call them. A function returns for valid and invalid bytes alike; its assertions hold
+//! for all bytes.
 #![doc(hidden)]
 
 use std::path::Path;

@@ -1,14 +1,14 @@
-//! Why a stage is stale, in words and as JSON.
+//! Why a stage is stale, as text and as JSON.
 
 use serde_json::{Value, json};
 
 use super::terminal::{cut, printable};
 use crate::plan::Reason;
 
-/// Longer values are cut in the human output; `--json` has them in full.
+/// Longer values are cut in text; `--json` has them in full.
 const LONGEST_VALUE: usize = 48;
 
-/// The reasons in one line.
+/// The reasons on one line.
 pub(super) fn text(reasons: &[Reason]) -> String {
     let mut words: Vec<String> = Vec::new();
     let mut rest = reasons;
@@ -39,7 +39,7 @@ fn input(port: &str, first: &Reason, parts: usize) -> String {
 fn one(reason: &Reason) -> String {
     match reason {
         Reason::New => "new".to_owned(),
-        Reason::Forced => "asked for by `--force`".to_owned(),
+        Reason::Forced => "forced by `--force`".to_owned(),
         Reason::Param { path, old, new } => {
             let value = |value: &Option<String>| match value {
                 Some(value) => cut(&printable(value), LONGEST_VALUE),

@@ -11,11 +11,11 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
 use super::context::RunContext;
-use super::event::{Event, Outcome};
+use super::event::{Event, RunOutcome};
 use super::executed::{Executed, Kept};
 use super::journal::Journal;
 use super::options::POLL_INTERVAL;
-use super::ready::{Ready, Retries};
+use super::ready::{LockWaits, Ready};
 use super::resources::Pool;
 use super::task::{Task, WorkerEvent};
 use crate::fsx::Lock;
@@ -64,7 +64,7 @@ pub(super) struct Dispatcher<'a, 's> {
     costs: Vec<f64>,
     ready: Ready,
     /// Stages whose key another process is building.
-    elsewhere: Retries,
+    elsewhere: LockWaits,
     /// Keys that are being built by this run, with the other stages that have the same key.
     twins: HashMap<Key, Vec<StageIndex>>,
     /// Outputs that were built by this run and are not durable yet: their locks are held until they are.
@@ -78,7 +78,7 @@ pub(super) struct Dispatcher<'a, 's> {
     stopping: bool,
     /// The failure after which no further stage starts (`--fail-fast`).
     halted: Option<StageIndex>,
-    outcome: Outcome,
+    outcome: RunOutcome,
 }
 
 impl<'a, 's> Dispatcher<'a, 's> {
@@ -102,7 +102,7 @@ impl<'a, 's> Dispatcher<'a, 's> {
             left: context.order.feeders.clone(),
             costs: Vec::new(),
             ready: Ready::default(),
-            elsewhere: Retries::default(),
+            elsewhere: LockWaits::default(),
             twins: HashMap::new(),
             underway: HashMap::new(),
             threads_used: 0,
@@ -112,7 +112,7 @@ impl<'a, 's> Dispatcher<'a, 's> {
             committing: 0,
             stopping: false,
             halted: None,
-            outcome: Outcome::default(),
+            outcome: RunOutcome::default(),
         }
     }
 

@@ -99,13 +99,13 @@ pub enum Event {
     /// The run ended.
     Finished {
         /// The counts.
-        outcome: Outcome,
+        outcome: RunOutcome,
     },
 }
 
 /// The counts of a run.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Outcome {
+pub struct RunOutcome {
     /// Cache hits.
     pub cached: usize,
     /// Stages that ran and finished.
@@ -122,7 +122,7 @@ pub struct Outcome {
     pub took: Duration,
 }
 
-impl Outcome {
+impl RunOutcome {
     /// True where every stage of the goal is up to date.
     pub fn is_complete(&self) -> bool {
         self.failed == 0 && self.skipped == 0 && self.stopped == 0

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use super::event::Outcome;
+use super::event::RunOutcome;
 use super::resources::InsufficientResource;
 use crate::fsx::Lock;
 use crate::resolve::StageIndex;
@@ -13,7 +13,7 @@ use crate::store::{Key, Outputs, Run, StoreError};
 #[derive(Clone, Debug, Default)]
 pub struct Executed {
     /// The counts.
-    pub outcome: Outcome,
+    pub outcome: RunOutcome,
     /// The outputs of every finished stage, by node index; `None` for the others.
     pub outputs: Vec<Option<Arc<Outputs>>>,
     /// The run's folder with its manifest, events and logs; `None` where nothing had to run.

@@ -20,8 +20,8 @@ pub(super) fn outside<'a>(
     context: RunContext<'a>,
 ) -> impl Iterator<Item = &'a OutsideFile> {
     node.inputs.iter().flat_map(|wire| &wire.sources).filter_map(move |source| match &source.from {
-        resolve::From::File { key, .. } => context.files.get(key),
-        resolve::From::Stage { .. } => None,
+        resolve::Origin::File { key, .. } => context.files.get(key),
+        resolve::Origin::Stage { .. } => None,
     })
 }
 
@@ -80,8 +80,8 @@ pub(super) fn job(
 
 fn is_folder(source: &Source, context: RunContext<'_>) -> bool {
     match &source.from {
-        resolve::From::File { folder, .. } => *folder,
-        resolve::From::Stage { stage, output } => {
+        resolve::Origin::File { folder, .. } => *folder,
+        resolve::Origin::Stage { stage, output } => {
             let output = context.graph.stages[*stage].ports.find_output(output);
             output.is_some_and(|output| output.artifact == Artifact::FOLDER)
         }

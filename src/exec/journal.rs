@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use super::event::{Event, Outcome};
+use super::event::{Event, RunOutcome};
 use super::in_order::InOrder;
 use super::options::Options;
 use crate::resolve::{Graph, StageIndex};
@@ -82,7 +82,7 @@ impl<'a, 's> Journal<'a, 's> {
     }
 
     /// Emits the end and writes the remaining lines.
-    pub fn finish(mut self, outcome: &Outcome) -> Result<Option<Arc<Run>>, StoreError> {
+    pub fn finish(mut self, outcome: &RunOutcome) -> Result<Option<Arc<Run>>, StoreError> {
         for event in self.order.rest() {
             self.emit_now(&event);
         }

@@ -30,7 +30,7 @@ mod warden;
 mod workers;
 
 pub use child::ChildRunner;
-pub use event::{Event, Outcome};
+pub use event::{Event, RunOutcome};
 pub use execute::execute;
 pub use executed::{ExecError, Executed};
 pub use failure::{Failure, FailureKind};

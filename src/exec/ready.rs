@@ -72,7 +72,7 @@ impl Ready {
 
 /// Stages whose key another process is building, each with the time of the next try.
 #[derive(Debug, Default)]
-pub(super) struct Retries(Vec<Try>);
+pub(super) struct LockWaits(Vec<Try>);
 
 #[derive(Debug)]
 struct Try {
@@ -82,7 +82,7 @@ struct Try {
     due: bool,
 }
 
-impl Retries {
+impl LockWaits {
     /// Records a failed try; true where it was the stage's first.
     pub fn note(&mut self, stage: StageIndex, now: Instant) -> bool {
         match self.0.iter_mut().find(|entry| entry.stage == stage) {
@@ -104,7 +104,7 @@ impl Retries {
         self.0.retain(|entry| entry.stage != stage);
     }
 
-    /// The stages to try now; each is returned once per [`Retries::note`].
+    /// The stages to try now; each is returned once per [`LockWaits::note`].
     pub fn due(&mut self, now: Instant) -> Vec<StageIndex> {
         let due = self.0.iter_mut().filter(|entry| !entry.due && entry.next <= now);
         due.map(|entry| {
@@ -141,7 +141,7 @@ mod tests {
 
     #[test]
     fn a_waiting_stage_is_tried_at_growing_intervals() {
-        let (mut elsewhere, stage, start) = (Retries::default(), StageIndex::new(0), Instant::now());
+        let (mut elsewhere, stage, start) = (LockWaits::default(), StageIndex::new(0), Instant::now());
         assert!(elsewhere.note(stage, start));
         assert!(elsewhere.due(start).is_empty());
         let mut now = start;

@@ -1,4 +1,4 @@
-//! Copies of files, and whether somebody still writes into one.
+//! Copies of files, and checks whether a file can still be changed.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read, Write};
@@ -9,27 +9,24 @@ use std::time::SystemTime;
 use super::fault::step;
 use super::{FsError, Result, Stat};
 
-/// So much is copied at a time; small files need no more than their length.
+/// The buffer size for copying.
 const PORTION: usize = 256 * 1024;
 
-/// A file that was made here: which one it is, and what it was like then.
+/// A file that we created, with its metadata at the time.
 #[derive(Debug)]
 pub struct Made {
-    /// What the file system said of it.
+    /// Its metadata.
     pub stat: Stat,
-    /// When it was made, where the file system knows.
+    /// Its creation time, if the file system has one.
     created: Option<SystemTime>,
-    /// While it is open, its number is not given to another file. Not for every one of thousands.
+    /// While it is open, its inode number is not reused. Not open for every one of thousands.
     _held: Option<File>,
 }
 
 impl Made {
-    /// What the file system says of it now; `None` where it is gone, or something else has taken its place.
-    ///
-    /// # Errors
-    /// It cannot be looked at.
+    /// Its current metadata; `None` where it is gone or was replaced.
     pub fn now(&self, path: &Path) -> Result<Option<Stat>> {
-        let meta = super::if_there("look at", path, std::fs::symlink_metadata(path))?;
+        let meta = super::if_there("access", path, std::fs::symlink_metadata(path))?;
         let Some(meta) = meta.filter(std::fs::Metadata::is_file) else { return Ok(None) };
         let stat = Stat::of(&meta);
         let is_same = (stat.device, stat.inode) == (self.stat.device, self.stat.inode)
@@ -37,22 +34,16 @@ impl Made {
         Ok(is_same.then_some(stat))
     }
 
-    /// Keeps it apart from all files that are made later.
-    ///
-    /// # Errors
-    /// It cannot be opened.
+    /// Keeps it open, so that its inode number is not reused.
     pub fn hold(&mut self, path: &Path) -> Result<()> {
-        // For reading: a program that is open for writing cannot be started.
+        // For reading: a program file that is open for writing cannot be started.
         self._held = Some(super::open(path)?);
         Ok(())
     }
 }
 
-/// Makes the new file `to` of the same blocks as `source`, with these rights. `None`, and no file, where the file system
-/// cannot share blocks between the two.
-///
-/// # Errors
-/// `to` cannot be made.
+/// Creates the new file `to` from the same blocks as `source`, with these permissions. `None`, and no file, where the file system
+/// cannot share blocks between them.
 pub fn clone_file(source: &File, to: &Path, mode: u32) -> Result<Option<Made>> {
     if !may_share_blocks(source) {
         return Ok(None);
@@ -66,7 +57,7 @@ pub fn clone_file(source: &File, to: &Path, mode: u32) -> Result<Option<Made>> {
     with_mode(&file, to, mode).map(Some)
 }
 
-/// Copies what `source` reads, which is called `name`, to the new file `to`, with these rights.
+/// Copies the open file `source`, called `name` in errors, to the new file `to`, with these permissions.
 ///
 /// # Errors
 /// `source` cannot be read or `to` cannot be written.
@@ -97,11 +88,11 @@ fn create_new(to: &Path) -> Result<File> {
 fn with_mode(file: &File, path: &Path, mode: u32) -> Result<Made> {
     let rights = std::fs::Permissions::from_mode(mode);
     file.set_permissions(rights).map_err(FsError::at("make read-only", path))?;
-    let meta = file.metadata().map_err(FsError::at("look at", path))?;
+    let meta = file.metadata().map_err(FsError::at("access", path))?;
     Ok(Made { stat: Stat::of(&meta), created: meta.created().ok(), _held: None })
 }
 
-/// False for the file systems of which it is known that they share no blocks, so that no try is made for each file.
+/// False for file systems that are known not to share blocks, so that it is not tried for every file.
 #[cfg(target_os = "linux")]
 fn may_share_blocks(file: &File) -> bool {
     // ext4, tmpfs, and the overlay of containers, from `linux/magic.h`.
@@ -124,13 +115,10 @@ fn share_blocks(_: &File, _: &File) -> io::Result<()> {
     Err(io::ErrorKind::Unsupported.into())
 }
 
-/// True where a file can be changed by somebody who needs not open it under its name: it has another name, or is open for
-/// writing. Where the system cannot say whether it is open, it is taken for not open.
-///
-/// # Errors
-/// It cannot be looked at.
+/// True where a file can be changed without opening it by this name: it has another hard link, or is open for writing. If the
+/// system cannot tell whether it is open, it counts as not open.
 pub fn is_in_other_hands(file: &File, path: &Path) -> Result<bool> {
-    let meta = file.metadata().map_err(FsError::at("look at", path))?;
+    let meta = file.metadata().map_err(FsError::at("access", path))?;
     Ok(meta.nlink() > 1 || is_open_for_writing(file))
 }
 
@@ -142,8 +130,8 @@ fn is_open_for_writing(file: &File) -> bool {
     // From `linux/fcntl.h`; the crate leaves it out.
     const F_SETSIG: libc::c_int = 10;
     let descriptor = file.as_raw_fd();
-    // Somebody who opens the file while the lease is held makes the kernel send this process a signal; SIGURG is one that
-    // does nothing, unlike the default.
+    // If another process opens the file while the lease is held, the kernel sends a signal; SIGURG is ignored, unlike the
+    // default.
     // SAFETY: the calls take integers only, and the descriptor is open as long as `file` is borrowed.
     let given = unsafe {
         libc::fcntl(descriptor, F_SETSIG, libc::SIGURG) == 0

@@ -1,5 +1,4 @@
-//! Looking at thousands of files in one folder, without walking the whole path to it for each of them; and putting a file
-//! where none is yet.
+//! Fast access to thousands of files in one folder through an open folder handle; and moving a file without replacing another.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -11,7 +10,7 @@ use rustix::io::Errno;
 use super::fault::step;
 use super::{Entry, FsError, Result, entry};
 
-/// A folder that is kept open once it was found. It may come into being later.
+/// A folder that is kept open once it exists. It may be created later.
 #[derive(Clone, Debug)]
 pub struct Dir {
     path: PathBuf,
@@ -19,15 +18,12 @@ pub struct Dir {
 }
 
 impl Dir {
-    /// The folder at `path`, which need not be there yet.
+    /// The folder at `path`, which need not exist yet.
     pub fn new(path: PathBuf) -> Self {
         Self { path, open: OnceLock::new() }
     }
 
-    /// What is at `name` in the folder, links not followed; `None` where nothing is.
-    ///
-    /// # Errors
-    /// It cannot be looked at.
+    /// The type of `name` in the folder, links not followed; `None` where there is none.
     pub fn entry(&self, name: &str) -> Result<Option<Entry>> {
         if let Some(folder) = self.folder() {
             match rustix::fs::statat(&**folder, name, AtFlags::SYMLINK_NOFOLLOW) {
@@ -40,10 +36,10 @@ impl Dir {
                     }));
                 }
                 Err(Errno::NOENT) => {}
-                Err(error) => return Err(FsError::at("look at", &self.path.join(name))(error.into())),
+                Err(error) => return Err(FsError::at("access", &self.path.join(name))(error.into())),
             }
         }
-        // Somebody may have put another folder in the place of the one that is open.
+        // The open folder may have been replaced by another one.
         entry(&self.path.join(name))
     }
 
@@ -62,11 +58,8 @@ impl Dir {
     }
 }
 
-/// Moves `from` to `to` where nothing is yet, and makes the folder of `to` where that is missing: true where it was.
-/// `None` where something is there; then nothing is moved.
-///
-/// # Errors
-/// It cannot be moved.
+/// Moves `from` to `to` without replacing a file, and creates the folder of `to` if it is missing: true where it was. `None` where
+/// `to` exists; then nothing is moved.
 pub fn rename_new(from: &Path, to: &Path) -> Result<Option<bool>> {
     step("rename", to)?;
     let once = || match rustix::fs::renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {

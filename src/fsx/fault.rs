@@ -1,5 +1,5 @@
-//! The steps at which the engine touches the disk, for tests: they can be listed, the process can be made to die at any
-//! of them, and the disk can be made to be full from any of them on. In release builds there is nothing here.
+//! Fault injection for tests: every step that touches the disk can be listed, kill the process, or simulate a full disk from then
+//! on. Empty in release builds.
 
 #[cfg(debug_assertions)]
 mod armed {

@@ -1,4 +1,4 @@
-//! What is in a folder, all the way down, and what tells one state of a file from the next.
+//! Walks folders, and reads the metadata that identifies the state of a file.
 
 use std::fs::Metadata;
 use std::io;
@@ -7,16 +7,16 @@ use std::path::{Path, PathBuf};
 
 use super::{FsError, Result, create_dir_all, step};
 
-/// Folders inside each other; deeper is a slip, such as a folder that holds a copy of itself.
+/// The maximum depth of folders; deeper ones are a mistake, such as a folder that contains a copy of itself.
 const DEEPEST: usize = 200;
 
-/// What a file system says of a file. While all of it stays the same, so does the content, but for a change within the
-/// grain of its clock.
+/// The metadata of a file. While all of it is the same, the content is the same, except for a change within the resolution of the
+/// clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stat {
     /// The device.
     pub device: u64,
-    /// The file's number on it.
+    /// The inode.
     pub inode: u64,
     /// Bytes.
     pub bytes: u64,
@@ -24,7 +24,7 @@ pub struct Stat {
     pub modified: i64,
     /// The last change of anything about it, in nanoseconds since 1970; no program can set it.
     pub changed: i64,
-    /// True where somebody may execute it.
+    /// True where it is executable.
     pub executable: bool,
 }
 
@@ -62,7 +62,7 @@ fn left_of(folder: &Path, bytes: u64, depth: usize) -> Option<u64> {
     Some(left)
 }
 
-/// What is at a path from outside, links followed.
+/// The type of a file from outside, links followed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outside {
     /// A regular file.
@@ -71,10 +71,10 @@ pub enum Outside {
     Folder,
 }
 
-/// Looks at a path from outside.
+/// The type of a file from outside.
 ///
 /// # Errors
-/// It is not there, or neither a file nor a folder.
+/// It does not exist, or is neither a file nor a folder.
 pub fn outside(path: &Path) -> Result<Outside> {
     sort(path, &std::fs::metadata(path).map_err(FsError::at("read", path))?)
 }
@@ -89,7 +89,7 @@ fn sort(path: &Path, meta: &Metadata) -> Result<Outside> {
     }
 }
 
-/// Something in a folder.
+/// An entry of a folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Inside {
     /// Its path, relative to the folder.
@@ -98,12 +98,12 @@ pub struct Inside {
     pub what: What,
 }
 
-/// What there can be in a folder.
+/// The types of entries in a folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum What {
     /// A file, or a link to one outside the folder.
     File(Stat),
-    /// A folder in which there is nothing.
+    /// An empty folder.
     Empty,
     /// A symbolic link to something in the same folder: where it leads, relative to the folder that the link lies in, as
     /// any number of `..`, then names.
@@ -131,7 +131,7 @@ pub fn walk(root: &Path, links: Links, left_out: &dyn Fn(&Path) -> bool) -> Resu
     while let Some((folder, depth)) = open.pop() {
         let path = root.join(&folder);
         if depth > DEEPEST {
-            return Err(refuse(&path, "it is more than 200 folders deep"));
+            return Err(refuse(&path, "it is nested more than 200 folders deep"));
         }
         let mut empty = true;
         for entry in std::fs::read_dir(&path).map_err(FsError::at("list", &path))? {
@@ -141,7 +141,7 @@ pub fn walk(root: &Path, links: Links, left_out: &dyn Fn(&Path) -> bool) -> Resu
                 continue;
             }
             empty = false;
-            let kind = entry.file_type().map_err(FsError::at("look at", &path))?;
+            let kind = entry.file_type().map_err(FsError::at("access", &path))?;
             if kind.is_dir() {
                 open.push((inside, depth + 1));
                 continue;
@@ -159,7 +159,7 @@ pub fn walk(root: &Path, links: Links, left_out: &dyn Fn(&Path) -> bool) -> Resu
 fn what(path: &Path) -> Result<What> {
     match outside(path)? {
         Outside::File(stat) => Ok(What::File(stat)),
-        Outside::Folder => Err(refuse(path, "it is a folder now, and was none when it was listed")),
+        Outside::Folder => Err(refuse(path, "it is now a folder, but was not when it was listed")),
     }
 }
 
@@ -170,17 +170,17 @@ fn link(root: &Path, inside: &Path, links: Links) -> Result<What> {
     let leads_to = format!("it is a link to `{}`", target.display());
     let refuse = |why: &str| FsError::at("read", &path)(io::Error::other(format!("{leads_to}, {why}")));
     let end = path.canonicalize().map_err(|error| match error.raw_os_error() {
-        Some(libc::ELOOP) => refuse("and leads in a circle"),
-        _ if error.kind() == io::ErrorKind::NotFound => refuse("which is not there: the link is broken"),
+        Some(libc::ELOOP) => refuse("and is circular"),
+        _ if error.kind() == io::ErrorKind::NotFound => refuse("which does not exist: the link is broken"),
         _ => FsError::at("read", &path)(error),
     })?;
-    let real_root = root.canonicalize().map_err(FsError::at("look at", root))?;
+    let real_root = root.canonicalize().map_err(FsError::at("access", root))?;
     let within = end.strip_prefix(&real_root).ok();
     match (outside(&path)?, within) {
         (Outside::File(stat), _) if links == Links::Follow => Ok(What::File(stat)),
         (Outside::File(stat), None) => Ok(What::File(stat)),
         (Outside::Folder, None) => {
-            Err(refuse("a folder outside of the one that it is in, which is not followed: copy that folder"))
+            Err(refuse("a folder outside this one, which is not followed: copy that folder"))
         }
         (_, Some(end)) => {
             let above = inside.parent().unwrap_or(Path::new(""));
@@ -204,7 +204,7 @@ pub fn settle_links(root: &Path) -> Result<()> {
         let path = root.join(&folder);
         for entry in std::fs::read_dir(&path).map_err(FsError::at("list", &path))? {
             let entry = entry.map_err(FsError::at("list", &path))?;
-            let kind = entry.file_type().map_err(FsError::at("look at", &entry.path()))?;
+            let kind = entry.file_type().map_err(FsError::at("access", &entry.path()))?;
             let inside = folder.join(entry.file_name());
             if kind.is_symlink() {
                 found.push((link(root, &inside, Links::Keep)?, inside));

@@ -5,17 +5,11 @@ use std::path::{Path, PathBuf};
 use super::{FsError, Result, copy_atomic, create_dir_all};
 
 /// Makes a symbolic link at `at` that leads to `to`.
-///
-/// # Errors
-/// It cannot be made.
 pub fn symlink(to: &Path, at: &Path) -> Result<()> {
-    std::os::unix::fs::symlink(to, at).map_err(FsError::at("make a link at", at))
+    std::os::unix::fs::symlink(to, at).map_err(FsError::at("create a link at", at))
 }
 
 /// As [`symlink`], and makes the folder that `at` lies in.
-///
-/// # Errors
-/// It cannot be made.
 pub fn symlink_into(to: &Path, at: &Path) -> Result<()> {
     if let Some(folder) = at.parent() {
         create_dir_all(folder)?;
@@ -28,7 +22,7 @@ pub fn symlink_into(to: &Path, at: &Path) -> Result<()> {
 /// # Errors
 /// It cannot be read, or not be written.
 pub fn be_a_file(path: &Path) -> Result<()> {
-    let meta = std::fs::symlink_metadata(path).map_err(FsError::at("look at", path))?;
+    let meta = std::fs::symlink_metadata(path).map_err(FsError::at("access", path))?;
     if meta.is_symlink() { copy_atomic(path, path) } else { Ok(()) }
 }
 

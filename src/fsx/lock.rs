@@ -1,5 +1,4 @@
-//! Locks between processes. They are the kernel's: whatever happens to their owner, they die with it, and there is no
-//! content that could be corrupt.
+//! Locks between processes. They are kernel locks: they disappear with their owner, and have no content that could be corrupted.
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::os::unix::fs::MetadataExt;
@@ -15,10 +14,10 @@ pub struct Lock {
 }
 
 impl Lock {
-    /// Takes the lock on `path` (a file of its own, made where there is none); `None` while somebody else holds it.
+    /// Takes the lock on `path` (a lock file, which is created if needed); `None` while another process holds it.
     ///
     /// # Errors
-    /// The file cannot be made, or the file system knows no locks.
+    /// The file cannot be created, or the file system does not support locks.
     pub fn try_acquire(path: &Path) -> Result<Option<Self>> {
         loop {
             let file = open(path)?;
@@ -31,7 +30,7 @@ impl Lock {
         }
     }
 
-    /// Takes the lock on `path`, waiting for it where somebody else holds it.
+    /// Takes the lock on `path`; waits while another process holds it.
     ///
     /// # Errors
     /// As [`Lock::try_acquire`].
@@ -45,21 +44,21 @@ impl Lock {
         }
     }
 
-    /// Shares the lock on `path` with others that do so too, waiting while somebody has it alone; `None` where there is
-    /// no such file.
+    /// Takes the lock on `path` in shared mode; waits while another process holds it exclusively. `None` where there is no such
+    /// file.
     ///
     /// # Errors
-    /// The file is there and cannot be opened, or the file system knows no locks.
+    /// The file exists and cannot be opened, or the file system does not support locks.
     pub fn shared(path: &Path) -> Result<Option<Self>> {
         let Some(file) = super::if_there("open the lock", path, File::open(path))? else { return Ok(None) };
         file.lock_shared().map_err(FsError::at("lock", path))?;
         Ok(Some(Self { file, path: path.to_owned() }))
     }
 
-    /// True while somebody holds the lock on `path`. Makes no file.
+    /// True while the lock on `path` is held. Creates no file.
     ///
     /// # Errors
-    /// The file is there and cannot be opened, or the file system knows no locks.
+    /// The file exists and cannot be opened, or the file system does not support locks.
     pub fn is_held(path: &Path) -> Result<bool> {
         let Some(file) = super::if_there("open the lock", path, File::open(path))? else { return Ok(false) };
         match file.try_lock_shared() {
@@ -69,21 +68,21 @@ impl Lock {
         }
     }
 
-    /// Gives the lock up and removes its file, so that locks do not pile up. Whoever waits for it makes a new one.
+    /// Releases the lock and removes its file, so that lock files do not pile up. A waiting process creates a new one.
     ///
     /// # Errors
-    /// The file cannot be removed; the lock is given up all the same.
+    /// The file cannot be removed; the lock is released all the same.
     pub fn remove(self) -> Result<()> {
-        // Removed while it is held: whoever opened the file before finds, once it has the lock, that it is not the one
-        // at the path any more, and tries again.
+        // Removed while the lock is held: a process that opened the file before notices, once it has the lock, that it is no longer
+        // the file at the path, and tries again.
         super::remove_file(&self.path).map(drop)
     }
 
-    /// The lock's file as an input that ends at once, for a process that is started: the lock is held until that process
-    /// and all that got the input from it are gone too, whatever becomes of this one.
+    /// The lock file as an empty stdin for a new process: the lock is held until that process and all that inherit its stdin are
+    /// gone, even if this one dies.
     ///
     /// # Errors
-    /// The system has no descriptor left.
+    /// There is no file descriptor left.
     pub fn as_input(&self) -> std::io::Result<File> {
         self.file.set_len(0)?;
         self.file.try_clone()
@@ -108,11 +107,11 @@ fn open(path: &Path) -> Result<File> {
 }
 
 fn is_at(file: &File, path: &Path) -> Result<bool> {
-    let ours = file.metadata().map_err(FsError::at("look at", path))?;
+    let ours = file.metadata().map_err(FsError::at("access", path))?;
     match std::fs::metadata(path) {
         Ok(there) => Ok((ours.dev(), ours.ino()) == (there.dev(), there.ino())),
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(false),
-        Err(error) => Err(FsError::at("look at", path)(error)),
+        Err(error) => Err(FsError::at("access", path)(error)),
     }
 }
 

@@ -1,15 +1,12 @@
-//! The end of a log, as much of it as people can read.
+//! The last lines of a log.
 
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 
 use super::{FsError, Result, open};
 
-/// The last lines of a text file: at most `lines`, read from at most the last 64 KiB, each of at most `width` characters. Of
-/// a line that was written over itself (a progress bar) only its last state is given.
-///
-/// # Errors
-/// It cannot be read.
+/// The last lines of a text file: at most `lines`, from at most the last 64 KiB, each with at most `width` characters. Of a line
+/// that overwrites itself (a progress bar), only the last state is returned.
 pub fn tail(path: &Path, lines: usize, width: usize) -> Result<Vec<String>> {
     const WINDOW: u64 = 64 * 1024;
     let mut file = open(path)?;

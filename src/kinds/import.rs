@@ -1,5 +1,5 @@
-//! `import`: a file or folder from outside, known by its content. Nothing is run for it: the engine hashes what is there
-//! when it plans, and brings it into the store when something is to read it.
+//! `import`: a file or folder from outside, identified by its content. It runs nothing: the engine hashes the file when it plans
+//! and copies it into the store when a stage reads it.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use dril_stage_api::{
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Brings a file or folder in.
+/// Imports a file or folder.
 pub struct Import;
 
 /// Parameters of `import`.
@@ -18,21 +18,20 @@ pub struct Import;
 pub struct ImportParams {
     /// The file or folder, relative to the folder of the pipeline file; a folder ends with `/`.
     path: String,
-    /// What it is, where the stages that read it care: `policy`, `scores`, `table`, ... Without it, a file or, where the
-    /// path ends with `/`, a folder.
+    /// The artifact type: `policy`, `scores`, `table`, ... By default `file`, or `folder` if the path ends with `/`.
     #[serde(default, rename = "type", skip_serializing_if = "Option::is_none")]
     artifact: Option<Artifact>,
-    /// The content that it must have: the 64 digits that `b3sum` prints; for a folder those that the error names.
+    /// The expected blake3 digest: the 64 digits that `b3sum` prints; for a folder, those in the error message.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     blake3: Option<String>,
-    /// What of a folder is left out: globs, each of a name at any depth (`*.log`), or, with a `/` in it, of a path in the
-    /// folder (`/data/raw`, `notes/**`). Without it, what programs and editors leave behind: `__pycache__`, `*.pyc`, `.git`,
-    /// `*~`, `.*.swp` and the like (see the manual). A list takes the place of those; `[]` leaves nothing out.
+    /// Globs that are excluded from a folder: of a name at any depth (`*.log`) or, with a `/`, of a path in the folder
+    /// (`/data/raw`, `notes/**`). By default, what programs and editors leave behind: `__pycache__`, `*.pyc`, `.git`, `*~`, `.*.swp`
+    /// and similar (see the manual). A list replaces these; `[]` excludes nothing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     exclude: Option<Vec<String>>,
 }
 
-/// What is left out of a folder without `exclude`: nobody means it, and it changes when the code is merely run or looked at.
+/// The default of `exclude`: files that change when code is merely run or viewed.
 const LEFT_OUT: [&str; 19] = [
     "__pycache__",
     "*.py[co]",
@@ -84,7 +83,7 @@ fn bare(path: &str) -> &str {
     if bare.is_empty() { path } else { bare }
 }
 
-/// True for what may stand behind the dot of a file's name.
+/// True for a valid file extension.
 pub(super) fn is_ending(text: &str) -> bool {
     !text.is_empty()
         && text.len() <= 20
@@ -94,7 +93,7 @@ pub(super) fn is_ending(text: &str) -> bool {
 impl Describe for Import {
     const KIND: &'static str = "import";
     const REVISION: u32 = 1;
-    const ABOUT: &'static str = "brings a file or folder in from outside, known by its content";
+    const ABOUT: &'static str = "imports a file or folder from outside, identified by its content";
     const SEEDED: bool = false;
     type Params = ImportParams;
 
@@ -107,7 +106,7 @@ impl Describe for Import {
         }
         match params.artifact {
             Some(Artifact::ANY) => {
-                problems.add("type", "`type` is `any`, expected what it is, such as `file` or `folder`")
+                problems.add("type", "`type` is `any`, expected a specific type such as `file` or `folder`")
             }
             Some(artifact) if artifact != Artifact::FOLDER && params.path.ends_with('/') => {
                 problems.add(
@@ -119,20 +118,21 @@ impl Describe for Import {
         }
         for (at, glob) in params.exclude.iter().flatten().enumerate() {
             if let Err(error) = globset::Glob::new(glob) {
-                let message = format!("`{}` is no glob: {}", glob.escape_debug(), error.kind());
+                let message = format!("`{}` is not a valid glob: {}", glob.escape_debug(), error.kind());
                 problems.add(&format!("exclude.{at}"), message);
             }
         }
         if let Some(digest) = &params.blake3 {
             let is_hex = |c: char| c.is_ascii_digit() || ('a'..='f').contains(&c);
             if digest.len() != 64 || !digest.chars().all(is_hex) {
-                problems.add("blake3", "`blake3` is no digest, expected 64 hexadecimal digits in lower case");
+                problems
+                    .add("blake3", "`blake3` is not a digest, expected 64 hexadecimal digits in lower case");
             }
         }
     }
 
     fn ports(params: &ImportParams) -> Ports {
-        let content = "what was found there";
+        let content = "the imported file or folder";
         let mut ports = Ports::new()
             .with_input(Input {
                 name: "outside",
@@ -159,6 +159,6 @@ impl Stage for Import {
     type Kind = Self;
 
     fn run(_: &ImportParams, _: &mut Ctx<'_>) -> Result<(), StageError> {
-        Err(StageError::failed("the engine brings files in itself; this kind is never run"))
+        Err(StageError::failed("the engine imports files itself; this kind is never run"))
     }
 }

@@ -1,5 +1,5 @@
-//! The stage kinds that come with the engine: any program as a stage, and what is brought in from outside. They serve
-//! every experiment; what belongs to one field of work is a stage crate's.
+//! The built-in stage kinds: `command` runs any program, `import` brings in files from outside. Kinds of a particular field belong
+//! to stage crates.
 
 mod command;
 mod import;

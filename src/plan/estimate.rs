@@ -1,5 +1,5 @@
-//! How long what is stale will take, from how long the same took before: the nearest earlier record of the same stage,
-//! scaled by the cost that the kind gives both; else what stages of the same kind took for their cost.
+//! Estimates the duration of stale stages: the time of the nearest earlier record of the same stage, scaled by the kind's cost;
+//! otherwise the median time per cost of stages of the same kind.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
@@ -9,20 +9,17 @@ use super::{Plan, Verdict, lookup};
 use crate::resolve::{StageIndex, StageInstance};
 use crate::store::{Record, Store, StoreError};
 
-/// Records of stages that are done are read only up to so many a kind: more do not make the guess better.
+/// The number of records that are read per kind; more would not improve the estimate.
 const SAMPLES: usize = 16;
 
-/// Seconds by stage.
+/// Estimated seconds by stage.
 #[derive(Clone, Debug)]
 pub struct Estimates {
     seconds: Vec<Option<f64>>,
 }
 
 impl Estimates {
-    /// For the stages of a plan that are not cached.
-    ///
-    /// # Errors
-    /// The store cannot be read.
+    /// Estimates the stages of a plan that are not cached.
     pub fn of(plan: &Plan<'_>, store: &Store) -> Result<Self, StoreError> {
         let mut seconds = vec![None; plan.graph.stages.node_count()];
         let mut rates: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
@@ -51,14 +48,14 @@ impl Estimates {
         Ok(Self { seconds })
     }
 
-    /// How long that stage will run; `None` where it is cached or nothing is known.
+    /// The estimate for a stage; `None` where it is cached or nothing is known.
     pub fn stage(&self, stage: StageIndex) -> Option<Duration> {
         let seconds = (*self.seconds.get(stage.index())?)?;
         Duration::try_from_secs_f64(seconds).ok()
     }
 
-    /// How long all that `stale` picks will take with so many threads, and how many of these stages nothing is known
-    /// of. The stages start as in a run: the longest chain first, none before its inputs.
+    /// The time that the stages for which `stale` is true take together on this many threads, and the number of these stages
+    /// without an estimate. Stages start as in a run: the longest path first, none before its inputs.
     pub fn together(
         &self,
         plan: &Plan<'_>,
@@ -110,7 +107,7 @@ impl Estimates {
     }
 }
 
-/// Seconds for each unit of cost, by a record.
+/// Seconds per unit of cost, from a record.
 fn rate(node: &StageInstance, then: &Record) -> Option<f64> {
     if then.kind != node.kind.name() {
         return None;
@@ -124,7 +121,7 @@ fn cost(node: &StageInstance) -> f64 {
     if node.needs.cost.is_finite() { node.needs.cost.max(0.0) } else { 0.0 }
 }
 
-/// What cached stages of the same kind took for their cost.
+/// Seconds per unit of cost of cached stages of the same kind.
 fn of_kind(plan: &Plan<'_>, store: &Store, node: &StageInstance) -> Result<Vec<f64>, StoreError> {
     let mut rates = Vec::new();
     for (index, verdict) in &plan.steps {

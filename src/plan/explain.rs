@@ -1,176 +1,237 @@
-//! Why a stage is stale: what differs between what it is now and its nearest earlier record.
+//! Explains why stages are stale, back to the first cause: what differs in the stage itself and, for every input that differs, in
+//! the stage that makes it.
 
-use std::collections::BTreeMap;
+use std::collections::hash_map::Entry;
+use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::sync::Arc;
 
-use serde_json::Value;
+use super::compare::differences;
+use super::{OutsideFile, Plan, Reason, Verdict, lookup, order};
+use crate::resolve::{Graph, Origin, StageIndex};
+use crate::store::{Digest, Key, Outputs, Record, Store, StoreError};
 
-use super::lookup::{self, Done};
-use super::{OutsideFile, Reason};
-use crate::resolve::{Graph, Source, StageInstance, Wire};
-use crate::store::{Record, RecordInput, RecordItem};
-
-/// What differs, as far as it is known: inputs whose stages are not done are passed over. Empty where nothing does.
-pub fn differences(
-    graph: &Graph,
-    stage: &StageInstance,
-    then: &Record,
-    done: &Done,
-    files: &BTreeMap<String, OutsideFile>,
-) -> Vec<Reason> {
-    let mut found = Vec::new();
-    if then.kind != stage.kind.name() {
-        found.push(Reason::Kind { old: then.kind.clone(), new: stage.kind.name().to_owned() });
-        return found;
-    }
-    if then.revision != stage.kind.revision() {
-        found.push(Reason::Revision { old: then.revision, new: stage.kind.revision() });
-    }
-    let seed = stage.seed.map(|seed| seed.0);
-    if then.seed != seed {
-        found.push(Reason::Seed { old: then.seed, new: seed });
-    }
-    params("", Some(&then.params), Some(&stage.params), &mut found);
-    let known = Known { graph, done, files };
-    for wire in &stage.inputs {
-        let before = then.inputs.iter().find(|input| input.port == wire.port);
-        known.input(stage, wire, before, &mut found);
-    }
-    for gone in then.inputs.iter().filter(|input| stage.inputs.iter().all(|wire| wire.port != input.port)) {
-        let items = gone.items.iter();
-        found.extend(items.map(|item| gone_item(&gone.port, item)));
-    }
-    found
+/// Why stages are stale, or why they ran last time, with everything upstream: each stage once.
+#[derive(Clone, Debug, Default)]
+pub struct Explanations {
+    /// First the requested stages, in that order; then those upstream.
+    pub all: Vec<Explanation>,
+    /// How many were requested.
+    pub asked: usize,
 }
 
-fn gone_item(port: &str, item: &RecordItem) -> Reason {
-    Reason::Input { port: port.to_owned(), from: item.from.clone(), old: Some(item.digest), new: None }
+/// Why a stage is stale, or why it ran last time.
+#[derive(Clone, Debug)]
+pub struct Explanation {
+    /// The stage.
+    pub stage: StageIndex,
+    /// Its key, if it is known.
+    pub key: Option<Key>,
+    /// The record that it is compared with: for a finished stage, the one before; `None` where there is none.
+    pub against: Option<Key>,
+    /// What differs in the stage itself.
+    pub reasons: Vec<Reason>,
+    /// Upstream stages whose outputs differ or are not known yet.
+    pub causes: Vec<Cause>,
 }
 
-/// What differs between two records, as reasons for the later one; empty where both say the same of their making.
-pub fn compare(then: &Record, now: &Record) -> Vec<Reason> {
-    let mut found = Vec::new();
-    if then.kind != now.kind {
-        found.push(Reason::Kind { old: then.kind.clone(), new: now.kind.clone() });
-    } else if then.revision != now.revision {
-        found.push(Reason::Revision { old: then.revision, new: now.revision });
+/// An upstream stage whose output differs.
+#[derive(Clone, Debug)]
+pub struct Cause {
+    /// The input that it feeds.
+    pub port: String,
+    /// Its index in [`Explanations::all`].
+    pub at: usize,
+}
+
+/// Explains these stages of a plan. Time and memory are linear in stages and connections, however deep the graph is.
+pub fn explain(plan: &Plan<'_>, store: &Store, stages: &[StageIndex]) -> Result<Explanations, StoreError> {
+    let count = plan.graph.stages.node_count();
+    let mut verdicts: Vec<Option<&Verdict>> = vec![None; count];
+    let mut done: Vec<Option<Arc<Outputs>>> = vec![None; count];
+    for (index, verdict) in &plan.steps {
+        verdicts[index.index()] = Some(verdict);
+        if let Verdict::Cached { outputs, .. } = verdict {
+            done[index.index()] = Some(Arc::clone(outputs));
+        }
     }
-    if then.seed != now.seed {
-        found.push(Reason::Seed { old: then.seed, new: now.seed });
-    }
-    params("", Some(&then.params), Some(&now.params), &mut found);
-    let none = Vec::new();
-    let items = |record: &'_ Record, port: &str| {
-        record.inputs.iter().find(|input| input.port == port).map(|input| input.items.clone())
+    let mut explainer = Explainer {
+        plan,
+        graph: plan.graph,
+        files: &plan.files,
+        store,
+        verdicts,
+        done,
+        places: HashMap::new(),
+        open: VecDeque::new(),
     };
-    let mut ports: Vec<&str> =
-        then.inputs.iter().chain(&now.inputs).map(|input| input.port.as_str()).collect();
-    ports.sort_unstable();
-    ports.dedup();
-    for port in ports {
-        let before = items(then, port).unwrap_or_else(|| none.clone());
-        let after = items(now, port).unwrap_or_else(|| none.clone());
-        for item in &after {
-            let old = before.iter().find(|other| other.labels == item.labels);
-            let (port, from, new) = (port.to_owned(), item.from.clone(), Some(item.digest));
-            match old {
-                Some(old) if old.digest == item.digest && old.executable == item.executable => {}
-                Some(old) if old.digest == item.digest => {
-                    found.push(Reason::Rights { port, from, executable: item.executable });
-                }
-                old => found.push(Reason::Input { port, from, old: old.map(|old| old.digest), new }),
-            }
+    for &stage in stages {
+        if !explainer.places.contains_key(&stage) {
+            let against = explainer.before(stage)?;
+            explainer.place(stage, against);
         }
-        let gone = before.iter().filter(|item| after.iter().all(|other| other.labels != item.labels));
-        found.extend(gone.map(|item| gone_item(port, item)));
     }
-    found
+    let asked = explainer.places.len();
+    let mut all = Vec::new();
+    while let Some((stage, against)) = explainer.open.pop_front() {
+        all.push(explainer.explain(stage, against)?);
+    }
+    Ok(Explanations { all, asked })
 }
 
-/// Compares parameters down to the single value.
-fn params(path: &str, then: Option<&Value>, now: Option<&Value>, found: &mut Vec<Reason>) {
-    let below = |name: &str| if path.is_empty() { name.to_owned() } else { format!("{path}.{name}") };
-    match (then, now) {
-        (Some(Value::Object(then)), Some(Value::Object(now))) => {
-            let mut names: Vec<&String> = then.keys().chain(now.keys()).collect();
-            names.sort_unstable();
-            names.dedup();
-            for name in names {
-                params(&below(name), then.get(name), now.get(name), found);
-            }
-        }
-        (Some(Value::Array(then)), Some(Value::Array(now))) if then.len() == now.len() => {
-            for (position, pair) in then.iter().zip(now).enumerate() {
-                params(&below(&position.to_string()), Some(pair.0), Some(pair.1), found);
-            }
-        }
-        (then, now) if then != now => found.push(Reason::Param {
-            path: path.to_owned(),
-            old: then.map(Value::to_string),
-            new: now.map(Value::to_string),
-        }),
-        _ => {}
-    }
-}
-
-struct Known<'a> {
+struct Explainer<'a> {
+    plan: &'a Plan<'a>,
     graph: &'a Graph,
-    done: &'a Done,
     files: &'a BTreeMap<String, OutsideFile>,
+    store: &'a Store,
+    verdicts: Vec<Option<&'a Verdict>>,
+    done: Vec<Option<Arc<Outputs>>>,
+    /// The index of each stage that is explained or queued.
+    places: HashMap<StageIndex, usize>,
+    /// Queued stages, with the record that each is compared with.
+    open: VecDeque<(StageIndex, Option<(Key, Record)>)>,
 }
 
-impl Known<'_> {
-    /// Compares what is wired to one input. Artifacts of a fan-in are matched by their labels, so that one new artifact
-    /// in the middle is not told as a change of all behind it.
-    fn input(
+impl Explainer<'_> {
+    /// The default record for comparison: the nearest earlier one that is not the stage's own.
+    fn before(&self, stage: StageIndex) -> Result<Option<(Key, Record)>, StoreError> {
+        let own = self.key(stage);
+        for key in self.plan.history.earlier(&self.graph.stages[stage].id) {
+            if Some(*key) != own
+                && let Some(record) = self.store.record(key)?
+            {
+                return Ok(Some((*key, record)));
+            }
+        }
+        Ok(None)
+    }
+
+    fn key(&self, stage: StageIndex) -> Option<Key> {
+        match self.verdicts[stage.index()] {
+            Some(Verdict::Cached { key, .. } | Verdict::Run { key, .. }) => Some(*key),
+            _ => None,
+        }
+    }
+
+    /// The index of a stage. The first request decides which record it is compared with.
+    fn place(&mut self, stage: StageIndex, against: Option<(Key, Record)>) -> usize {
+        let next = self.places.len();
+        match self.places.entry(stage) {
+            Entry::Occupied(at) => *at.get(),
+            Entry::Vacant(place) => {
+                self.open.push_back((stage, against));
+                *place.insert(next)
+            }
+        }
+    }
+
+    fn explain(
+        &mut self,
+        stage: StageIndex,
+        against: Option<(Key, Record)>,
+    ) -> Result<Explanation, StoreError> {
+        let node = &self.graph.stages[stage];
+        // A record that is lost or damaged is a reason that no comparison shows.
+        let told = match self.verdicts[stage.index()] {
+            Some(Verdict::Run { why, .. }) => why
+                .iter()
+                .filter(|why| matches!(why, Reason::Lost { .. } | Reason::Damaged { .. }))
+                .cloned()
+                .collect(),
+            _ => Vec::new(),
+        };
+        let reasons = match &against {
+            _ if !told.is_empty() => told,
+            Some((_, then)) => differences(self.graph, node, then, &self.done, self.files),
+            None => vec![Reason::New],
+        };
+        let causes = self.causes(stage, against.as_ref().map(|(_, record)| record), &reasons)?;
+        let against = against.map(|(key, _)| key);
+        Ok(Explanation { stage, key: self.key(stage), against, reasons, causes })
+    }
+
+    /// The stages that make the inputs that differ.
+    fn causes(
+        &mut self,
+        stage: StageIndex,
+        then: Option<&Record>,
+        reasons: &[Reason],
+    ) -> Result<Vec<Cause>, StoreError> {
+        let mut causes = Vec::new();
+        for wire in &self.graph.stages[stage].inputs {
+            for source in &wire.sources {
+                let Origin::Stage { stage: feeder, output } = source.from else { continue };
+                let against = if self.done[feeder.index()].is_none() {
+                    self.before(feeder)?
+                } else {
+                    let origin = lookup::origin(self.graph, source);
+                    let Some(old) = changed(reasons, wire.port, &origin) else { continue };
+                    match self.maker(feeder, output, old)? {
+                        Some(record) => Some(record),
+                        None => continue,
+                    }
+                };
+                // A new stage needs no tree of new stages upstream.
+                if then.is_none() && against.is_none() && self.done[feeder.index()].is_some() {
+                    continue;
+                }
+                let at = self.place(feeder, against);
+                causes.push(Cause { port: wire.port.to_owned(), at });
+            }
+        }
+        Ok(causes)
+    }
+
+    /// The record with which a stage made that content.
+    fn maker(
         &self,
-        stage: &StageInstance,
-        wire: &Wire,
-        before: Option<&RecordInput>,
-        found: &mut Vec<Reason>,
-    ) {
-        let before: &[RecordItem] = before.map_or(&[], |input| &input.items);
-        let port = || wire.port.to_owned();
-        let mut changed = false;
-        for source in &wire.sources {
-            let Some(digest) = lookup::digest_of(source, self.done, self.files) else {
-                changed = true;
-                continue;
-            };
-            let place = |item: &&RecordItem| same_place(wire, source, item);
-            let executable = lookup::is_executable(stage, source, self.done, self.files);
-            let mut same = before.iter().filter(place).filter(|item| item.digest == digest).peekable();
-            let from = || lookup::origin(self.graph, source);
-            if same.peek().is_none() {
-                changed = true;
-                let old = before.iter().find(place).map(|item| item.digest);
-                found.push(Reason::Input { port: port(), from: from(), old, new: Some(digest) });
-            } else if same.all(|item| item.executable != executable) {
-                changed = true;
-                found.push(Reason::Rights { port: port(), from: from(), executable });
+        stage: StageIndex,
+        output: &str,
+        made: Digest,
+    ) -> Result<Option<(Key, Record)>, StoreError> {
+        let own = self.key(stage);
+        for key in self.plan.history.earlier(&self.graph.stages[stage].id).filter(|key| Some(**key) != own) {
+            let made_it = self.plan.history.outputs(key).and_then(|outputs| outputs.get(output));
+            if made_it.is_some_and(|stored| stored.digest == made)
+                && let Some(record) = self.store.record(key)?
+            {
+                return Ok(Some((*key, record)));
             }
         }
-        for item in before {
-            if !wire.sources.iter().any(|source| same_place(wire, source, item)) {
-                changed = true;
-                found.push(gone_item(wire.port, item));
-            }
-        }
-        let count = wire.sources.len();
-        if !changed && (count != before.len() || wire.many && self.reordered(wire, before)) {
-            let from = format!("the order or number of its {count} artifacts");
-            found.push(Reason::Input { port: port(), from, old: None, new: None });
-        }
-    }
-
-    fn reordered(&self, wire: &Wire, before: &[RecordItem]) -> bool {
-        wire.sources.iter().zip(before).any(|(source, item)| {
-            source.labels != item.labels
-                || lookup::digest_of(source, self.done, self.files) != Some(item.digest)
-        })
+        Ok(None)
     }
 }
 
-/// True where an artifact takes the place in the input that `item` had.
-fn same_place(wire: &Wire, source: &Source, item: &RecordItem) -> bool {
-    !wire.many || source.labels == item.labels
+/// The earlier content of an input, where a reason says that it differs.
+fn changed(reasons: &[Reason], port: &str, origin: &str) -> Option<Digest> {
+    reasons.iter().find_map(|reason| match reason {
+        Reason::Input { port: at, from, old: Some(old), new: Some(_) } if at == port && from == origin => {
+            Some(*old)
+        }
+        _ => None,
+    })
+}
+
+impl Plan<'_> {
+    /// `stage` and everything upstream, in topological order.
+    pub fn roots_to(&self, stage: StageIndex) -> Vec<StageIndex> {
+        let mut needed = vec![false; self.graph.stages.node_count()];
+        let mut open = vec![stage];
+        while let Some(stage) = open.pop() {
+            if !std::mem::replace(&mut needed[stage.index()], true) {
+                open.extend(order::feeding(self.graph, stage));
+            }
+        }
+        self.steps.iter().map(|(index, _)| *index).filter(|index| needed[index.index()]).collect()
+    }
+
+    /// The position of a stage in topological order.
+    pub fn position(&self, stage: StageIndex) -> usize {
+        self.position.get(stage.index()).copied().unwrap_or(usize::MAX)
+    }
+
+    /// The verdict of a stage.
+    pub fn verdict(&self, stage: StageIndex) -> Option<&Verdict> {
+        let at = *self.position.get(stage.index())?;
+        self.steps.get(at).map(|(_, verdict)| verdict)
+    }
 }

@@ -1,9 +1,9 @@
-//! The key of a piece of work: blake3 over canonical bytes of all that its result depends on, and of nothing else.
+//! The key of a stage: blake3 over canonical bytes of everything that its result depends on, and of nothing else.
 //!
-//! The bytes are written here and not by a serialiser, because another crate's feature flag can change the order in
-//! which a serialiser writes a map. Every text and list carries its length and every value its type, so that no two
-//! different pieces of work have the same bytes. `docs/design/keys.md` has the format; changing it makes every stored
-//! record unreachable.
+//! The bytes are written here and not by a serialiser, because another crate's feature flag can change the order in which a
+//! serialiser writes a map. Every text and list is written with its length and every value with its type, so that no two
+//! different stages have the same bytes. `docs/design/keys.md` describes the format; changing it makes every stored record
+//! unreachable.
 
 use std::collections::BTreeMap;
 
@@ -12,23 +12,23 @@ use serde_json::{Map, Number, Value};
 
 use crate::store::{Digest, Key, Record};
 
-/// Separates keys from every other use of blake3, and carries the version of the format.
+/// Separates keys from every other use of blake3; contains the version of the format.
 const CONTEXT: &str = "dril-pipe stage key v1";
 
-/// Separates a program from the same bytes as mere data.
+/// Distinguishes an executable file from a data file with the same bytes.
 const EXECUTABLE: &str = "dril-pipe executable v1";
 
-/// A parameter that has no place in a key.
+/// A parameter that cannot enter a key.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("`{path}` is {value}, expected a finite number of at most 64 bits")]
 pub struct NoKey {
-    /// The parameter, dotted.
+    /// The dotted path of the parameter.
     pub path: String,
     /// Its value.
     pub value: String,
 }
 
-/// All that the result of a stage depends on.
+/// Everything that the result of a stage depends on.
 #[derive(Clone, Debug)]
 pub struct Work<'a> {
     /// The kind's name.
@@ -37,25 +37,24 @@ pub struct Work<'a> {
     pub revision: u32,
     /// Normalised parameters.
     pub params: &'a Value,
-    /// The seed; `None` where the kind draws no random number.
+    /// The seed; `None` where the kind is not seeded.
     pub seed: Option<u64>,
-    /// What is wired to each input; the order does not matter.
+    /// The artifacts of each input; the order of inputs does not matter.
     pub inputs: Vec<WorkInput<'a>>,
 }
 
-/// What is wired to one input.
+/// The artifacts of one input.
 #[derive(Clone, Debug)]
 pub struct WorkInput<'a> {
     /// The input's name.
     pub port: &'a str,
     /// True where the input takes many: then labels are part of the key.
     pub many: bool,
-    /// Contents with their labels; the order matters. A file that may be executed goes by another name than its content:
-    /// see [`executable`].
+    /// Digests with their labels; the order matters. For an executable file, see [`executable`].
     pub items: Vec<(Digest, &'a Labels)>,
 }
 
-/// What stands in a key for a file of this content that may be executed, where the stage can make use of that.
+/// The digest that stands in a key for an executable file with this content, where the stage can execute it.
 pub fn executable(content: &Digest) -> Digest {
     Digest::new(blake3::derive_key(EXECUTABLE, content.as_bytes()))
 }
@@ -93,15 +92,15 @@ impl Work<'_> {
     }
 }
 
-/// The name of a content in a key.
+/// The digest that stands in a key for a file.
 pub fn named(content: &Digest, is_executable: bool) -> Digest {
     if is_executable { executable(content) } else { *content }
 }
 
-/// The key under which a record belongs: what it says of its own making, hashed anew.
+/// The key of a record, computed from the inputs and parameters that it contains.
 ///
 /// # Errors
-/// The record holds a parameter that has no place in a key.
+/// The record contains a parameter that cannot enter a key.
 pub fn key_of_record(record: &Record) -> Result<Key, NoKey> {
     let inputs = record.inputs.iter().map(|input| WorkInput {
         port: &input.port,
@@ -118,7 +117,7 @@ pub fn key_of_record(record: &Record) -> Result<Key, NoKey> {
     work.key()
 }
 
-/// What stands before a value. Numbers, not names, are the format.
+/// The type tag before a value. The numbers are part of the format.
 #[derive(Clone, Copy)]
 #[repr(u8)]
 enum Tag {

@@ -1,4 +1,4 @@
-//! Whether a stage's result is in the store: its key from the contents of its inputs, and what is there under the key.
+//! Looks a stage up in the store: its key from the digests of its inputs, and what the store has under the key.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
@@ -8,36 +8,36 @@ use rayon::prelude::*;
 
 use super::key::{NoKey, Work, WorkInput, key_of_record, named};
 use super::{OutsideFile, Reason};
-use crate::resolve::{From, Graph, Source, StageInstance};
+use crate::resolve::{Graph, Origin, Source, StageInstance};
 use crate::store::{
     Digest, Found, History, Key, Outputs, Record, RecordInput, RecordItem, Store, StoreError,
 };
 
-/// Fewer stages than this are looked up before other threads would be ready to help.
+/// Fewer stages than this are looked up faster on one thread.
 const MANY: usize = 200;
 
 /// The outputs of the stages that are done, by node index.
 pub type Done = [Option<Arc<Outputs>>];
 
-/// What there is for a key.
+/// The result of looking a key up.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Cached {
-    /// The outputs, all of them in full.
+    /// Cache hit: all outputs are complete.
     Yes(Arc<Outputs>),
-    /// Not usable; a reason where the mere absence of a record is not the whole story.
+    /// Cache miss, with a reason unless there simply is no record.
     No(Option<Reason>),
 }
 
 /// The content of an artifact; `None` while the stage that makes it is not done.
 pub fn digest_of(source: &Source, done: &Done, files: &BTreeMap<String, OutsideFile>) -> Option<Digest> {
     match &source.from {
-        From::Stage { stage, output } => Some(done[stage.index()].as_ref()?.get(*output)?.digest),
-        From::File { key, .. } => Some(files.get(key)?.digest),
+        Origin::Stage { stage, output } => Some(done[stage.index()].as_ref()?.get(*output)?.digest),
+        Origin::File { key, .. } => Some(files.get(key)?.digest),
     }
 }
 
-/// True for a file that may be executed, where the stage that reads it can make use of that: it is in its key then. A
-/// stage of our own kinds reads its inputs, and nothing else.
+/// True for an executable file, where the stage can execute it: this is part of the key. A built-in stage only reads its
+/// inputs.
 pub fn is_executable(
     stage: &StageInstance,
     source: &Source,
@@ -46,18 +46,18 @@ pub fn is_executable(
 ) -> bool {
     stage.kind.is_program()
         && match &source.from {
-            From::Stage { stage, output } => done[stage.index()]
+            Origin::Stage { stage, output } => done[stage.index()]
                 .as_ref()
                 .and_then(|outputs| outputs.get(*output))
                 .is_some_and(|it| it.executable),
-            From::File { key, .. } => files.get(key).is_some_and(|file| file.executable),
+            Origin::File { key, .. } => files.get(key).is_some_and(|file| file.executable),
         }
 }
 
 /// A stage's key; `None` while some stage that feeds it is not done.
 ///
 /// # Errors
-/// Its parameters have no place in a key.
+/// Its parameters cannot enter a key.
 pub fn key_of(
     stage: &StageInstance,
     done: &Done,
@@ -82,10 +82,7 @@ pub fn key_of(
     work.key().map(Some)
 }
 
-/// Looks whether `key` is made.
-///
-/// # Errors
-/// The store cannot be read.
+/// Looks a key up.
 pub fn look_up(
     store: &Store,
     history: &History,
@@ -100,7 +97,7 @@ pub fn look_up(
             Found::Damaged(error) => return Ok(Cached::No(Some(Reason::Damaged { error }))),
             Found::Record(record) if key_of_record(&record) == Ok(*key) => Arc::new(record.outputs),
             Found::Record(_) => {
-                let error = "it is the record of other work".to_owned();
+                let error = "it is the record of another key".to_owned();
                 return Ok(Cached::No(Some(Reason::Damaged { error })));
             }
         },
@@ -116,9 +113,9 @@ pub fn look_up(
     })
 }
 
-/// Of the results that the stages had last, those that are there. Nearly all stages still have them, and to look for them
-/// is to wait for the system, which many can do at the same time; keys, which decide, are computed one after the other.
-/// What cannot be looked at is left out: it matters only where a stage still has that key, and is told there.
+/// Looks up the last known key of every stage in parallel. Nearly all stages still have that key, and looking up is mostly
+/// waiting for the system; the actual keys are computed one after the other. Errors are ignored here: they are reported if a
+/// stage still has that key.
 pub fn latest(graph: &Graph, store: &Store, history: &History) -> HashMap<Key, Arc<Outputs>> {
     let stages = graph.stages.node_weights();
     let stages = stages.filter_map(|stage| Some((stage, *history.earlier(&stage.id).next()?)));
@@ -133,7 +130,7 @@ pub fn latest(graph: &Graph, store: &Store, history: &History) -> HashMap<Key, A
     stages.par_iter().filter_map(there).collect()
 }
 
-/// What the record of a stage says of its inputs; every stage that feeds it is done.
+/// The inputs of a stage for its record; all its inputs are built.
 pub fn record_inputs(
     graph: &Graph,
     stage: &StageInstance,
@@ -159,24 +156,21 @@ pub fn record_inputs(
     stage.inputs.iter().map(input).collect()
 }
 
-/// Where an artifact comes from, for people: `dril[policy=beta].peak`, `file reference/table22.csv`, or for what a stage
-/// brings in from outside both, `agent.content, file agents/beta.safetensors`.
+/// The origin of an artifact, for people: `dril[policy=beta].peak`, `file reference/table22.csv`, or both for an import:
+/// `agent.content, file agents/beta.safetensors`.
 pub fn origin(graph: &Graph, source: &Source) -> String {
     match &source.from {
-        From::Stage { stage, output } => {
+        Origin::Stage { stage, output } => {
             let stage = &graph.stages[*stage];
             let outside = stage.ports.outside.as_ref();
             let file = outside.map_or_else(String::new, |outside| format!(", file {}", outside.path));
             format!("{}.{output}{file}", stage.id)
         }
-        From::File { path, .. } => format!("file {path}"),
+        Origin::File { path, .. } => format!("file {path}"),
     }
 }
 
-/// The nearest earlier record of a stage: the latest in the pipeline's history that is still there.
-///
-/// # Errors
-/// The store cannot be read.
+/// The nearest earlier record of a stage: the latest in the pipeline's history that still exists.
 pub fn earlier_record(store: &Store, history: &History, stage: &str) -> Result<Option<Record>, StoreError> {
     for key in history.earlier(stage) {
         if let Some(record) = store.record(key)? {

@@ -1,7 +1,7 @@
-//! From a graph and a store to a plan: every stage's key where it can be known, and what would run, and why.
-//! Reads records, runs nothing, writes nothing.
+//! From a graph and a store to a plan: the key of every stage where it can be known, what would run, and why. Reads records; runs
+//! and writes nothing.
 
-mod cause;
+mod compare;
 mod estimate;
 mod explain;
 mod key;
@@ -13,9 +13,9 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::Path;
 use std::sync::Arc;
 
-pub use cause::{Cause, Explanation, Explanations, explain};
+pub use compare::compare;
 pub use estimate::Estimates;
-pub use explain::compare;
+pub use explain::{Cause, Explanation, Explanations, explain};
 pub use key::{NoKey, Work, WorkInput, executable, key_of_record, named};
 pub(crate) use lookup::{Cached, digest_of, is_executable, key_of, look_up, record_inputs};
 pub use order::Order;
@@ -32,30 +32,30 @@ use crate::store::{Digest, History, Key, Outputs, Stats, Store, StoreError};
 pub struct Plan<'g> {
     /// The pipeline.
     pub graph: &'g Graph,
-    /// One verdict a stage, in topological order.
+    /// One verdict per stage, in topological order.
     pub steps: Vec<(StageIndex, Verdict)>,
-    /// The files from outside, by path as the pipeline file has it.
+    /// Files from outside, by their paths in the pipeline file.
     pub files: BTreeMap<String, OutsideFile>,
     pub(crate) order: Order,
     pub(crate) history: History,
-    /// Where each stage stands in `steps`.
+    /// The index of each stage in `steps`.
     position: Vec<usize>,
-    /// Keeps what the plan found from being removed, as long as the plan is there.
+    /// Protects what the plan found from `gc` while the plan exists.
     pub(crate) held: Option<Lock>,
-    /// What was learned about the files from outside, worth keeping.
+    /// Digests of files from outside, to be cached.
     pub(crate) stats: Stats,
-    /// Stages that run although they are cached.
+    /// Stages that run even if they are cached.
     pub(crate) forced: BTreeSet<StageIndex>,
 }
 
 /// What will happen to a stage.
 #[derive(Debug, Clone)]
 pub enum Verdict {
-    /// Its record and the blobs are there.
+    /// Cache hit: its record and blobs exist.
     Cached {
         /// The key.
         key: Key,
-        /// What was made then.
+        /// Its outputs.
         outputs: Arc<Outputs>,
     },
     /// It will run, for these reasons.
@@ -65,9 +65,9 @@ pub enum Verdict {
         /// Why; never empty.
         why: Vec<Reason>,
     },
-    /// Its key is known once these have run (directly or in between); it may still turn out to be cached.
+    /// Its key is known once upstream stages have run; it may still turn out to be cached.
     DependsOn {
-        /// The stages with the verdict [`Verdict::Run`] that feed it directly or through others, in node order.
+        /// The upstream stages with the verdict [`Verdict::Run`], in node order.
         stages: Arc<[StageIndex]>,
         /// What is known to differ already; empty where nothing is.
         why: Vec<Reason>,
@@ -107,7 +107,7 @@ pub enum PlanError {
     /// Files from outside that cannot be read; all of them.
     #[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))]
     Files(Vec<MissingFile>),
-    /// A stage's parameters have no place in a key.
+    /// A stage's parameters cannot enter a key.
     #[error("stage `{stage}`: {source}")]
     Params {
         /// The stage.
@@ -133,79 +133,79 @@ pub struct MissingFile {
     pub source: FsError,
 }
 
-/// Why a stage is stale, against the nearest earlier record of the same stage.
+/// Why a stage is stale, compared with its nearest earlier record.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[serde(tag = "because", rename_all = "kebab-case")]
 pub enum Reason {
     /// There is no earlier record of this stage.
     New,
-    /// It was asked for, whatever is cached.
+    /// It was forced to run.
     Forced,
-    /// A parameter has another value; `path` dotted, values as JSON, `None` where absent.
+    /// A parameter changed; the path is dotted, values are JSON, `None` where absent.
     Param {
-        /// Where, as `total_timesteps` or `env.car-racing.time_limit`.
+        /// The parameter, as `total_timesteps` or `env.car-racing.time_limit`.
         path: String,
-        /// Then.
+        /// Before.
         old: Option<String>,
         /// Now.
         new: Option<String>,
     },
-    /// The seed differs.
+    /// The seed changed.
     Seed {
-        /// Then.
+        /// Before.
         old: Option<u64>,
         /// Now.
         new: Option<u64>,
     },
-    /// The kind was revised: equal inputs give other outputs now.
+    /// The kind was revised: the same inputs give different outputs now.
     Revision {
-        /// Then.
+        /// Before.
         old: u32,
         /// Now.
         new: u32,
     },
-    /// The kind itself differs.
+    /// The stage has another kind.
     Kind {
-        /// Then.
+        /// Before.
         old: String,
         /// Now.
         new: String,
     },
-    /// The content of an input differs.
+    /// The content of an input changed.
     Input {
         /// The input's name.
         port: String,
-        /// What is wired there: stage and output, or file.
+        /// Its source: stage and output, or file.
         from: String,
-        /// The content then; `None` where nothing stood in its place.
+        /// The digest before; `None` where there was no such artifact.
         #[serde(skip_serializing_if = "Option::is_none")]
         old: Option<Digest>,
-        /// The content now; `None` where nothing stands in its place, or it is not made yet.
+        /// The digest now; `None` where there is no such artifact, or it is not built yet.
         #[serde(skip_serializing_if = "Option::is_none")]
         new: Option<Digest>,
     },
-    /// An input has the same content, but may be executed now, or not any more.
+    /// An input has the same content, but its executable bit changed.
     Rights {
         /// The input's name.
         port: String,
-        /// What is wired there: stage and output, or file.
+        /// Its source: stage and output, or file.
         from: String,
-        /// True where it may be executed now.
+        /// True where it is executable now.
         executable: bool,
     },
-    /// The record is there, but a file that it names is not, or not in full.
+    /// The record exists, but an output is missing or incomplete.
     Lost {
         /// The output.
         output: String,
     },
-    /// The record is there, but cannot be read.
+    /// The record exists, but cannot be read.
     Damaged {
         /// What is wrong with it.
         error: String,
     },
 }
 
-/// Says what would run, and why. `base` is the folder of the pipeline file, to which its paths are relative.
+/// Plans a graph: what would run, and why. `base` is the folder of the pipeline file, to which its paths are relative.
 ///
 /// # Errors
 /// A file from outside or the store cannot be read.
@@ -213,7 +213,7 @@ pub fn plan<'g>(graph: &'g Graph, store: &Store, base: &Path) -> Result<Plan<'g>
     plan_forced(graph, store, base, BTreeSet::new())
 }
 
-/// As [`plan`], with stages that are to run although they are cached.
+/// As [`plan`], with stages that run even if they are cached.
 ///
 /// # Errors
 /// As [`plan`].
@@ -253,7 +253,7 @@ impl Planner<'_> {
         let count = self.graph.stages.node_count();
         let mut steps = Vec::with_capacity(count);
         let mut done: Vec<Option<Arc<Outputs>>> = vec![None; count];
-        // For each stage that is not cached: the stages that will run and decide about it, itself where it will run.
+        // For each stage that is not cached: the stages that will run and that it depends on, or itself.
         let mut roots: Vec<Option<Arc<[StageIndex]>>> = vec![None; count];
         for &index in &order.topological {
             let verdict = self.verdict(index, &done, &roots)?;
@@ -301,8 +301,8 @@ impl Planner<'_> {
     }
 }
 
-/// What differs between a stage as it is now and its nearest earlier record, as far as its inputs are known; empty where
-/// nothing does.
+/// The differences between a stage and its nearest earlier record, as far as its inputs are known; empty where nothing
+/// differs.
 pub(crate) fn why(
     graph: &Graph,
     stage: &StageInstance,
@@ -312,12 +312,12 @@ pub(crate) fn why(
     history: &History,
 ) -> Result<Vec<Reason>, StoreError> {
     Ok(match lookup::earlier_record(store, history, &stage.id)? {
-        Some(record) => explain::differences(graph, stage, &record, done, files),
+        Some(record) => compare::differences(graph, stage, &record, done, files),
         None => vec![Reason::New],
     })
 }
 
-/// All of these lists in one, sorted; shared where they are all the same, since large graphs have large lists.
+/// The union of these lists, sorted; shared where they are all the same, since large graphs have long lists.
 fn union<'a>(mut lists: impl Iterator<Item = &'a Arc<[StageIndex]>>) -> Arc<[StageIndex]> {
     let Some(first) = lists.next() else { return Arc::from([]) };
     let mut others = lists.filter(|list| !Arc::ptr_eq(list, first)).peekable();

@@ -1,24 +1,24 @@
-//! The graph's shape as flat arrays: an order in which every stage comes after its inputs, and who reads whom. Taken from
-//! what is wired, so that it cannot disagree with it.
+//! The graph as flat arrays: a topological order, and the readers of each stage. Derived from the wiring, so that the two always
+//! agree.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-use crate::resolve::{From, Graph, StageIndex};
+use crate::resolve::{Graph, Origin, StageIndex};
 
-/// The shape of a graph.
+/// Topological order and readers of a graph.
 #[derive(Clone, Debug)]
 pub struct Order {
-    /// Every stage after its inputs; of those that could come next, the first in node order.
+    /// Topological order; of stages that could come next, the first in node order.
     pub topological: Vec<StageIndex>,
-    /// For each stage, how many different stages feed it.
+    /// For each stage, the number of different stages that feed it.
     pub feeders: Vec<u32>,
     starts: Vec<u32>,
     readers: Vec<StageIndex>,
 }
 
 impl Order {
-    /// The shape of `graph`; the error is a stage on a cycle.
+    /// The order of `graph`; the error is a stage on a cycle.
     ///
     /// # Errors
     /// The graph has a cycle.
@@ -51,7 +51,7 @@ impl Order {
         &self.readers[from as usize..to as usize]
     }
 
-    /// For each stage, the cost of the longest chain of stages from it to the end, itself included.
+    /// For each stage, the cost of the longest path from it to the end, including itself.
     pub fn costs_to_the_end(&self, graph: &Graph) -> Vec<f64> {
         let mut costs = vec![0.0_f64; self.feeders.len()];
         for &stage in self.topological.iter().rev() {
@@ -61,7 +61,7 @@ impl Order {
         costs
     }
 
-    /// The cost of a stage itself, a number that is not negative.
+    /// The cost of a stage itself, not negative.
     pub fn own_cost(&self, graph: &Graph, stage: StageIndex) -> f64 {
         let own = graph.stages[stage].needs.cost;
         if own.is_finite() { own.max(0.0) } else { 0.0 }
@@ -92,7 +92,7 @@ impl Order {
 pub fn feeding(graph: &Graph, stage: StageIndex) -> impl Iterator<Item = StageIndex> + '_ {
     let sources = graph.stages[stage].inputs.iter().flat_map(|wire| &wire.sources);
     sources.filter_map(|source| match source.from {
-        From::Stage { stage, .. } => Some(stage),
-        From::File { .. } => None,
+        Origin::Stage { stage, .. } => Some(stage),
+        Origin::File { .. } => None,
     })
 }

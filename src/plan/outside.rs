@@ -1,5 +1,5 @@
-//! Files and folders from outside: what is in them now, by content. What has not changed since it was last hashed is not
-//! read again; what has to be read is read side by side.
+//! Hashes files and folders from outside. What has not changed since it was last hashed is not read again; the rest is read in
+//! parallel.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
@@ -11,13 +11,13 @@ use rayon::prelude::*;
 
 use super::{MissingFile, PlanError};
 use crate::fsx::{self, FsError, Inside, Links, Outside, Stat, What};
-use crate::resolve::{From, Graph};
+use crate::resolve::{Graph, Origin};
 use crate::store::{self, Digest, Folder, FolderEntry, FolderFile, Part, Stats, Store};
 
-/// How often a file that changes while it is read is read anew.
+/// How often a file that changes while it is read is read again.
 const TRIES: usize = 3;
 
-/// So many bytes are read one file after another.
+/// Fewer bytes than this are read on one thread.
 const SIDE_BY_SIDE: u64 = 1 << 20;
 
 /// A file or folder from outside, as it was when the plan was made.
@@ -25,21 +25,21 @@ const SIDE_BY_SIDE: u64 = 1 << 20;
 pub struct OutsideFile {
     /// Where it is.
     pub path: PathBuf,
-    /// The name of its content; of a folder, of the list of its files.
+    /// The digest of its content; for a folder, of the list of its files.
     pub digest: Digest,
-    /// The length of that.
+    /// Its size in bytes.
     pub bytes: u64,
-    /// What is in it, where it is a folder.
+    /// The files in it, for a folder.
     pub folder: Option<Arc<Folder>>,
-    /// True for a file that may be executed.
+    /// True for an executable file.
     pub executable: bool,
 }
 
-/// What a pipeline file says of something from outside.
+/// What the pipeline file says about a file from outside.
 #[derive(Clone, Copy)]
 struct Wanted<'g> {
     path: &'g str,
-    /// See [`From::File`].
+    /// See [`Origin::File`].
     key: &'g str,
     place: &'g str,
     folder: bool,
@@ -47,7 +47,7 @@ struct Wanted<'g> {
     exclude: &'g [String],
 }
 
-/// The content of each file, with what the file system says of it.
+/// The digest of each file, with its metadata.
 type Contents = BTreeMap<PathBuf, (Digest, Stat)>;
 
 /// What was found at a path.
@@ -56,10 +56,10 @@ enum Found {
     Folder(Vec<Inside>),
 }
 
-/// The contents of all that a graph names from outside, by path as the pipeline file has it.
+/// The digests of all files from outside of a graph, by their paths in the pipeline file.
 ///
 /// # Errors
-/// Something cannot be read, or is not what the pipeline file says; all of it at once.
+/// All files that cannot be read or are not what the pipeline file says.
 pub(super) fn outside_files(
     graph: &Graph,
     base: &Path,
@@ -105,10 +105,10 @@ fn wanted(graph: &Graph) -> Vec<Wanted<'_>> {
     let sources = wires.flat_map(|wire| &wire.sources);
     let mut seen = BTreeSet::new();
     let wanted = sources.filter_map(|source| match &source.from {
-        From::File { path, place, folder, blake3, exclude, key } => {
+        Origin::File { path, place, folder, blake3, exclude, key } => {
             Some(Wanted { path, key, place, folder: *folder, blake3: blake3.as_deref(), exclude })
         }
-        From::Stage { .. } => None,
+        Origin::Stage { .. } => None,
     });
     wanted.filter(|one| seen.insert((one.key, one.folder, one.blake3))).collect()
 }
@@ -123,18 +123,18 @@ fn look(path: &Path, folder: bool, exclude: &[String]) -> fsx::Result<Found> {
     }
 }
 
-/// What is in a folder from outside, without what is left out by the globs `exclude`.
+/// The contents of a folder from outside, without what the globs `exclude` match.
 ///
 /// # Errors
 /// Something in it cannot be read, or is neither file nor folder.
 pub fn inside(folder: &Path, exclude: &[String]) -> fsx::Result<Vec<Inside>> {
     let mut globs = GlobSetBuilder::new();
     for glob in exclude {
-        // A name is looked for at any depth, a path from the folder on.
+        // A glob without `/` matches at any depth, a path from the folder on.
         let glob = glob.strip_suffix('/').unwrap_or(glob);
         let anywhere = if glob.contains('/') { "" } else { "**/" };
         let glob = format!("{anywhere}{}", glob.strip_prefix('/').unwrap_or(glob));
-        // What is no glob was reported when the pipeline was read.
+        // Invalid globs were reported when the pipeline was read.
         if let Ok(glob) = GlobBuilder::new(&glob).literal_separator(true).build() {
             globs.add(glob);
         }
@@ -143,7 +143,7 @@ pub fn inside(folder: &Path, exclude: &[String]) -> fsx::Result<Vec<Inside>> {
     fsx::walk(folder, Links::Follow, &|inside| globs.is_match(inside))
 }
 
-/// The content of every file; those that are not known are read.
+/// The digest of every file; unknown ones are read.
 fn digests<'w>(
     looked: &BTreeMap<&'w str, (PathBuf, Found)>,
     stats: &mut Stats,
@@ -172,7 +172,7 @@ fn digests<'w>(
         }
     }
     let one = |(written, path): &'_ (&'w str, PathBuf)| (*written, path.clone(), read(path));
-    // Threads cost more than they gain where there is little to read.
+    // For little data, threads cost more than they gain.
     let read: Vec<_> = if bytes < SIDE_BY_SIDE {
         unknown.iter().map(one).collect()
     } else {
@@ -211,7 +211,7 @@ fn read(path: &Path) -> fsx::Result<Read> {
         tries += 1;
         let began = store::now();
         let Outside::File(before) = fsx::outside(path)? else {
-            return Err(FsError::at("read", path)(io::Error::other("it is no file any more")));
+            return Err(FsError::at("read", path)(io::Error::other("it is no longer a file")));
         };
         let (digest, _) = store::hash_file(path)?;
         let steady = fsx::outside(path)? == Outside::File(before);
@@ -249,7 +249,7 @@ fn outside_file(path: PathBuf, found: Found, digests: &Contents) -> OutsideFile 
     }
 }
 
-/// Something is not what the pipeline file says that it is.
+/// A file is not what the pipeline file says.
 fn differs(wanted: &Wanted<'_>, found: &OutsideFile) -> Option<MissingFile> {
     let expected = wanted.blake3.filter(|expected| **expected != found.digest.hex())?;
     let why = format!("its content is {}, expected {expected}", found.digest);

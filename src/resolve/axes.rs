@@ -1,4 +1,4 @@
-//! The axes that matrices are made of: their values, after profile and `--set`.
+//! The axes of matrices, with their values after profile and `--set`.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -15,7 +15,7 @@ use crate::spec::suggest;
 pub(super) struct Axis {
     pub name: Arc<str>,
     pub values: Vec<AxisValue>,
-    /// Values that it had before a profile or `--set` chose others.
+    /// Values that a profile or `--set` removed.
     pub gone: Vec<Arc<str>>,
 }
 
@@ -24,15 +24,15 @@ pub(super) struct Axis {
 pub(super) struct AxisValue {
     /// Its name: the text of a scalar, the key of a value with fields.
     pub label: Arc<str>,
-    /// Where it stands.
+    /// Its place.
     pub span: Span,
-    /// What `$axis` stands for.
+    /// The value of `$axis`.
     pub value: Node,
-    /// What `$axis.field` looks into.
+    /// The map in which `$axis.field` is looked up.
     pub fields: Option<Node>,
 }
 
-/// All axes under `axes`; `None` for one that is broken, which was reported.
+/// All axes under `axes`; `None` for an invalid one, which was reported.
 #[derive(Debug, Default)]
 pub(super) struct Axes(pub HashMap<Arc<str>, Option<Axis>>);
 
@@ -105,7 +105,7 @@ fn choose(below: &Axis, name: &Key, items: Vec<Node>, problems: &mut Problems) -
                     let known = below.values.iter().map(|value| &*value.label);
                     Problem::new(item.span, format!("axis `{}` has no value that is {}", name.text, item.describe()))
                         .hint(suggest::hint(&text, "its values", known))
-                        .hint("a list over an axis whose values have fields chooses among these; a map adds and changes values")
+                        .hint("a list over an axis whose values have fields selects among them; a map adds and changes values")
                 });
                 chosen = None;
             }
@@ -186,7 +186,7 @@ fn usable(name: &Key, label: &str, at: Span, problems: &mut Problems) -> Option<
     problems.add(|| {
         let shown = crate::spec::node::shorten(label);
         Problem::new(at, format!("`{shown}` cannot be a value of axis `{}`", name.text))
-            .hint(format!("a value is addressed as `stage[{}=value]`: none of `{}`, no space at either end, at most 100 characters", name.text, names::NOT_IN_LABELS))
+            .hint(format!("it is used in `stage[{}=value]`: it must not contain `{}` or start or end with a space, and have at most 100 characters", name.text, names::NOT_IN_LABELS))
     });
     None
 }
@@ -200,7 +200,7 @@ fn distinct(axis: &Axis, problems: &mut Problems) -> bool {
             problems.add(|| {
                 Problem::new(
                     value.span,
-                    format!("the value `{}` stands on axis `{}` twice", value.label, axis.name),
+                    format!("the value `{}` is on axis `{}` twice", value.label, axis.name),
                 )
                 .related(first, "first")
                 .hint("remove one of the two")

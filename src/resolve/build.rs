@@ -1,4 +1,4 @@
-//! The graph itself: instances as nodes, wires as edges, no cycle, and no two results in one file.
+//! Builds the graph: instances as nodes, wires as edges. Checks that there is no cycle and that no two results share a file name.
 
 use std::collections::HashMap;
 
@@ -7,13 +7,13 @@ use petgraph::graph::DiGraph;
 use super::context::ResolveContext;
 use super::cycles;
 use super::expand::{ENOUGH, Expanded, Instance};
-use super::graph::{From, Graph, StageIndex, StageInstance};
+use super::graph::{Graph, Origin, StageIndex, StageInstance};
 use super::scope::Filler;
 use super::wiring::{Wirer, Wires};
 use crate::spec::problem::Problem;
 use crate::spec::source::Span;
 
-/// Builds the graph; `None` where that cannot be done, which was reported.
+/// Builds the graph; `None` where a problem was reported.
 pub(super) fn graph(
     context: &ResolveContext<'_>,
     stages: Vec<Expanded<'_>>,
@@ -96,8 +96,8 @@ fn add_edges(graph: &mut DiGraph<StageInstance, (), u32>) {
 
 fn producer(source: &super::Source) -> Option<StageIndex> {
     match &source.from {
-        From::Stage { stage, .. } => Some(*stage),
-        From::File { .. } => None,
+        Origin::Stage { stage, .. } => Some(*stage),
+        Origin::File { .. } => None,
     }
 }
 
@@ -109,7 +109,7 @@ fn report_cycles(stages: &[Expanded<'_>], wires: &[Wires], filler: &mut Filler<'
     let dependencies: Vec<Vec<usize>> = wires.iter().map(sources).collect();
     let found = cycles::order(&dependencies);
     for mut cycle in found.cycles {
-        // From a stage to those that read it, and from the first in the file: parallel cycles of a matrix look the same.
+        // In the direction of data flow, starting at the first stage in the file: so parallel cycles of a matrix look the same.
         cycle.reverse();
         let first = cycle.iter().enumerate().min_by_key(|(_, number)| **number).map_or(0, |(at, _)| at);
         cycle.rotate_left(first);
@@ -133,9 +133,9 @@ fn cycle_problem(cycle: &[usize], stages: &[Expanded<'_>], wires: &[Wires]) -> P
         (wire_place(from, to, wires, of(to)), format!("`{}` reads `{}`", name(to), name(from)))
     };
     let (at, label) = step(0);
-    let first = Problem::new(at, format!("stages wait for each other in a circle: `{}`", path.join(" -> ")))
+    let first = Problem::new(at, format!("stages depend on each other in a cycle: `{}`", path.join(" -> ")))
         .label(label)
-        .hint("an arrow runs from a stage to one that reads it; take one of these inputs away");
+        .hint("an arrow points from a stage to one that reads it; remove one of these inputs");
     (1..cycle.len().min(8)).map(step).fold(first, |problem, (at, label)| problem.related(at, label))
 }
 
@@ -146,7 +146,7 @@ fn wire_place(from: usize, to: usize, wires: &[Wires], stage: &Expanded<'_>) -> 
     wire.map_or(stage.stage.name.span, |(_, at)| *at)
 }
 
-/// Results are copied to one folder: two instances must not write the same file there.
+/// Results are copied to one folder, so two instances must not have the same file name.
 fn report_shared_files(stages: &[Expanded<'_>], filler: &mut Filler<'_>) {
     let mut taken: HashMap<String, (usize, usize)> = HashMap::new();
     for (at, stage) in stages.iter().enumerate() {
@@ -163,7 +163,7 @@ fn report_shared_files(stages: &[Expanded<'_>], filler: &mut Filler<'_>) {
             let other = &stages[other];
             filler.problems.add(|| {
                 let message = format!(
-                    "the results of `{}` and of `{}` would both be called `{stem}`",
+                    "the results of `{}` and `{}` would have the same file name `{stem}`",
                     other.id(earlier),
                     stage.id(number)
                 );

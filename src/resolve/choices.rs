@@ -1,5 +1,5 @@
-//! What the command line chooses: the profile, and the `--set` arguments. Several values in one argument are a sweep: an
-//! axis that the stage gets beside its own, and with it every stage behind it that reads one artifact of it.
+//! The choices of the command line: the profile and `--set`. Several values in one `--set` are a sweep: an additional axis of the
+//! stage and of every downstream stage that reads one artifact of it.
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
@@ -18,7 +18,7 @@ use crate::spec::yaml;
 /// The profile of a file that has none.
 const DEFAULT: &str = "default";
 
-/// The files, the profile over them, and each `--set` over that.
+/// The layers of values: the files, the profile, then each `--set`.
 pub(super) struct Layers<'a> {
     pub profile: Arc<str>,
     files: &'a [Layer],
@@ -33,11 +33,11 @@ struct Sweep {
     axis: MatrixAxis,
 }
 
-/// Stages that need the axis of a sweep because of what they read, by stage and axis.
+/// Stages that need the axis of a sweep because of their inputs, by stage and axis.
 pub(super) type Spread = BTreeSet<(Arc<str>, Arc<str>)>;
 
 impl<'a> Layers<'a> {
-    /// Reads the choices; wrong ones are reported.
+    /// Parses the choices; invalid ones are reported.
     pub fn read(
         spec: &'a Spec,
         choices: &Choices,
@@ -79,12 +79,12 @@ impl<'a> Layers<'a> {
         self.sweeps.iter().any(|sweep| &*sweep.axis.name.text == axis)
     }
 
-    /// From the lowest to the highest.
+    /// All layers, lowest first.
     fn all(&self) -> impl Iterator<Item = &Layer> {
         self.files.iter().chain(self.chosen).chain(&self.set)
     }
 
-    /// Every value of the pipeline's seed, the one that holds last.
+    /// Every value of the pipeline's seed, lowest first.
     pub fn seeds(&self) -> Vec<&Node> {
         self.all().filter_map(|layer| layer.seed.as_ref()).collect()
     }
@@ -152,7 +152,7 @@ fn nested(keys: Vec<Key>, value: Node) -> Node {
     })
 }
 
-/// What stands for several values: of an axis, their list; of a stage's field, a reference to the axis that they become.
+/// The node for several values: for an axis, their list; for a field of a stage, a reference to the axis that they become.
 fn sweep(
     spec: &Spec,
     keys: &[Key],
@@ -170,8 +170,8 @@ fn sweep(
     if !is_stage || keys.len() < 2 || !names::is_identifier(&last.text) {
         problems.add(|| {
             Problem::new(at, format!("found several values for `{}`, expected one", first.text))
-                .hint("several can be given for a field of a stage, as in `--set dril.total_timesteps=8192,16384`, and for an axis")
-                .hint("a text with commas is written in quotes, a list in brackets")
+                .hint("several values are allowed for a field of a stage, as in `--set dril.total_timesteps=8192,16384`, and for an axis")
+                .hint("write a text with commas in quotes, a list in brackets")
         });
         return None;
     }
@@ -182,7 +182,7 @@ fn sweep(
             || spec.base.axes.get(name).is_some()
             || spec.stages.iter().flat_map(|stage| &stage.matrix).any(|axis| &*axis.name.text == name)
     };
-    // The field's own name where it is free: it stands in the names of instances and in tables.
+    // The field's own name, if it is free: it appears in the names of instances and in tables.
     let candidates = [last.text.to_string(), format!("{}-{}", first.text, last.text)];
     let numbered = (2..).map(|number| format!("{}-{}-{number}", first.text, last.text));
     let name: Arc<str> = candidates.into_iter().chain(numbered).find(|name| !taken(name))?.into();
@@ -214,9 +214,8 @@ fn assignment(argument: &str, source: u16, problems: &mut Problems) -> Option<(V
     Some((keys, nodes))
 }
 
-/// A value as YAML reads it, but never less than what was written: a plain text is taken whole, whatever is in it, and where
-/// YAML would pass over something else, that is reported. `is_only`: it is no part of a sweep, so that blanks around a text
-/// belong to it.
+/// Parses a value as YAML, but never drops a part of it: a plain text is taken whole, and where YAML would ignore something else,
+/// that is reported. `is_only`: it is not part of a sweep, so blanks around a text belong to it.
 fn read_value(part: &str, is_only: bool, source: u16, begin: usize, problems: &mut Problems) -> Option<Node> {
     let bare = part.trim();
     let span = Span::new(source, begin..begin + part.len());
@@ -234,7 +233,7 @@ fn read_value(part: &str, is_only: bool, source: u16, begin: usize, problems: &m
         let start = begin + (part.len() - part.trim_start().len()) + at;
         problems.add(|| {
             let at = Span::new(source, start..begin + part.len());
-            Problem::new(at, "found a `#`, from which on YAML reads a comment, and nothing would be left of it")
+            Problem::new(at, "found a `#`: YAML would read the rest as a comment")
                 .hint("put the whole value in quotes for the command line, and the text with the `#` in quotes for YAML: `--set 'a.b=\"fix #12\"'`")
         });
         return None;
@@ -246,9 +245,9 @@ fn read_value(part: &str, is_only: bool, source: u16, begin: usize, problems: &m
             problems.add(|| {
                 Problem::new(
                     span,
-                    format!("found `{}`, which YAML reads as nothing", crate::spec::node::shorten(bare)),
+                    format!("found `{}`, which YAML reads as null", crate::spec::node::shorten(bare)),
                 )
-                .hint("write `null` for nothing, or put a text in quotes, as in `--set 'a.b=\"&x\"'`")
+                .hint("write `null`, or put a text in quotes, as in `--set 'a.b=\"&x\"'`")
             });
             None
         }

@@ -1,9 +1,8 @@
-//! Things that depend on each other: an order to work in, and the cycles that forbid one. Without recursion, because
-//! the depth is the user's.
+//! Topological order and cycles. Without recursion, because the depth comes from the user's file.
 
 /// What [`order`] found.
 pub(super) struct Order {
-    /// Everything that depends on no cycle, each after what it depends on.
+    /// Topological order of everything that does not depend on a cycle.
     pub sorted: Vec<usize>,
     /// Cycles, each as a path in which every element depends on the next and the last on the first.
     pub cycles: Vec<Vec<usize>>,
@@ -69,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn each_cycle_is_found_once_and_what_only_hangs_on_it_is_not_part_of_it() {
+    fn each_cycle_is_found_once_without_what_only_depends_on_it() {
         // 0 -> 1 -> 2 -> 1, 3 -> 3, 4 -> 3, 5 free.
         let found = order(&[vec![1], vec![2], vec![1], vec![3], vec![3], vec![]]);
         assert_eq!(found.cycles, [vec![1, 2], vec![3]]);
@@ -77,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn a_chain_of_a_hundred_thousand_is_no_matter() {
+    fn a_chain_of_a_hundred_thousand_is_sorted() {
         let chain: Vec<Vec<usize>> =
             (0..100_000).map(|n| if n == 0 { vec![] } else { vec![n - 1] }).collect();
         assert_eq!(order(&chain).sorted.len(), 100_000);

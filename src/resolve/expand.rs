@@ -1,5 +1,5 @@
-//! From stages to their instances: matrices are multiplied out, and each instance's parameters are put together from
-//! defaults, stage, profile and `--set`, and checked by its kind.
+//! Expands stages to instances: the parameters of each instance are merged from defaults, stage, profile and `--set`, and checked
+//! by its kind.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
@@ -24,26 +24,26 @@ pub(super) struct Expanded<'a> {
     pub stage: &'a Stage,
     /// `None` where it is unknown, which was reported.
     pub kind: Option<Kind>,
-    /// `None` where its matrix is broken, which was reported; then there are no instances.
+    /// `None` where its matrix is invalid, which was reported; then there are no instances.
     pub grid: Option<Grid>,
     /// The number of its first instance in the graph.
     pub first: usize,
-    /// In the order of the grid; `None` for one that is broken, which was reported.
+    /// In the order of the grid; `None` for an invalid one, which was reported.
     pub instances: Vec<Option<Instance>>,
-    /// Its wiring, the stage's own before its kind's defaults.
+    /// Its input references: the stage's own, then those of its kind's defaults.
     pub inputs: Vec<(&'a Key, &'a Node)>,
 }
 
-/// After so many reports about the instances of one stage, the rest of them would only repeat them.
+/// The number of problems that are reported per stage; more would only repeat them.
 pub(super) const ENOUGH: usize = 20;
 
-/// What an instance is, apart from its wiring.
+/// An instance, without its connections.
 pub(super) struct Instance {
     pub params: Json,
     pub ports: Ports,
     pub needs: Needs,
     pub seed: Option<Seed>,
-    /// What it brings in from outside, and where the file says so.
+    /// The file that it imports, and the place in the pipeline file.
     pub outside: Option<(Outside, Span)>,
 }
 
@@ -53,7 +53,7 @@ impl Expanded<'_> {
         &self.stage.name.text
     }
 
-    /// The axes, none where they are broken.
+    /// The axes; empty where they are invalid.
     pub fn axes(&self) -> &[Axis] {
         self.grid.as_ref().map(Grid::axes).unwrap_or_default()
     }
@@ -98,7 +98,7 @@ pub(super) fn expand<'a>(context: &ResolveContext<'a>, filler: &mut Filler<'_>) 
             filler.problems.add(|| {
                 let message =
                     format!("with this stage, the pipeline has more than {MAX_INSTANCES} stage instances");
-                Problem::new(stage.name.span, message).hint("is there an axis too many in its matrix?")
+                Problem::new(stage.name.span, message).hint("does its matrix have too many axes?")
             });
             break;
         }
@@ -136,10 +136,10 @@ fn kind(stage: &Stage, context: &ResolveContext<'_>, filler: &mut Filler<'_>) ->
     kind
 }
 
-/// The wiring of a stage. What it says of an input takes the place of all that defaults say of it.
+/// The input references of a stage. For each input, the stage's own replaces that of the defaults.
 fn wiring<'a>(stage: &'a Stage, defaults: &[&'a Defaults]) -> Vec<(&'a Key, &'a Node)> {
     let mut inputs: Vec<(&Key, &Node)> = stage.inputs.iter().map(|(key, node)| (key, node)).collect();
-    // The highest layer first, so that it is the one that stays.
+    // The highest layer first, so that it wins.
     for (key, node) in defaults.iter().rev().flat_map(|defaults| &defaults.inputs) {
         if inputs.iter().all(|(known, _)| known.text != key.text) {
             inputs.push((key, node));
@@ -176,13 +176,13 @@ fn instances<'a>(
     (0..count).map(build).collect()
 }
 
-/// The problem of a stage that sees a variable whose value cannot stand in a key.
+/// A stage reads a variable whose value cannot enter a key.
 fn value_is_no_text(stage: &str, name: &str, at: Span) -> Problem {
     let text = format!(
-        "stage `{stage}` sees the variable `{name}`, whose value is no UTF-8 text, so that it cannot stand in a key"
+        "stage `{stage}` reads the variable `{name}`, whose value is not UTF-8 and cannot enter a key"
     );
     Problem::new(at, text)
-        .hint("set it to UTF-8, or name it under `pass_env`, whose values do not enter the key")
+        .hint("set it to valid UTF-8, or list it under `pass_env`, whose values do not enter the key")
 }
 
 fn instance_of(
@@ -215,11 +215,7 @@ fn instance_of(
         filler.problems.add(|| {
             Problem::new(
                 at,
-                format!(
-                    "stage `{}` has a seed, but kind `{}` draws no random number",
-                    stage.name.text,
-                    kind.name()
-                ),
+                format!("stage `{}` has a seed, but kind `{}` is not seeded", stage.name.text, kind.name()),
             )
             .hint("remove `seed`")
         });
@@ -236,7 +232,7 @@ fn instance_of(
             Some(Instance { params, ports, needs, seed, outside })
         }
         Err(found) => {
-            // A field that was set aside may leave its parent wrong; that is no news.
+            // An invalid field can make its parent invalid, too; that is not reported again.
             let echo = |at: usize| {
                 let path = &found[at].path;
                 found[..at]
@@ -251,7 +247,7 @@ fn instance_of(
     }
 }
 
-/// Fills in the variables that the parameters name without a value; true where there was one to fill in.
+/// Fills in the values of environment variables that the parameters name without a value; true where there was one.
 fn from_environment(kind: &Kind, params: &mut Json, environment: &BTreeMap<String, String>) -> bool {
     let mut filled = false;
     let variables = kind.environment().and_then(|field| params.get_mut(field)?.as_object_mut());
@@ -264,13 +260,13 @@ fn from_environment(kind: &Kind, params: &mut Json, environment: &BTreeMap<Strin
     filled
 }
 
-/// A variable that the stage is to see and that is set to something else than text.
+/// A variable that the stage reads and that is not UTF-8.
 fn not_text<'n>(kind: &Kind, params: &Json, not_text: &'n BTreeSet<String>) -> Option<&'n String> {
     let variables = kind.environment().and_then(|field| params.get(field)?.as_object())?;
     not_text.iter().find(|name| variables.get(*name).is_some_and(Json::is_null))
 }
 
-/// The parameters of an instance, put together; an empty map where nothing is written.
+/// The merged parameters of an instance; an empty map where there are none.
 fn with(layers: &[&Node], scope: &Scope<'_>, filler: &mut Filler<'_>) -> Option<Node> {
     let mut maps = Vec::new();
     let mut fine = true;

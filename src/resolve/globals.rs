@@ -1,4 +1,4 @@
-//! What holds for the whole pipeline: the values of params, of axes, and the seed.
+//! Pipeline-wide values: params, axes and the seed.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -33,7 +33,7 @@ pub(super) fn globals(
         filler.problems.add(|| param_cycle(cycle, &names, &uses));
     }
     for key in &names {
-        // Broken until evaluated: what is in a cycle, or hangs on one, stays so.
+        // Invalid until evaluated: params on a cycle, or depending on one, stay invalid.
         globals.params.insert(key.text.clone(), None);
     }
     for at in order.sorted {
@@ -44,7 +44,7 @@ pub(super) fn globals(
     globals
 }
 
-/// Fills each layer and lays it over those below. All layers are filled, so that all problems are found.
+/// Evaluates each layer and merges it over those below. All layers are evaluated, so that all problems are found.
 pub(super) fn layered(layers: &[&Node], scope: &Scope<'_>, filler: &mut Filler<'_>) -> Option<Node> {
     let filled: Vec<Option<Node>> = layers.iter().map(|node| filler.fill(node, scope)).collect();
     let filled: Option<Vec<Node>> = filled.into_iter().collect();
@@ -88,7 +88,7 @@ fn param_cycle(cycle: &[usize], names: &[&Key], uses: &[Vec<(usize, Span)>]) -> 
     let next = |at: usize| cycle[(at + 1) % cycle.len()];
     let first = Problem::new(
         place(cycle[0], next(0)),
-        format!("params refer to each other in a circle: {}", path.join(" -> ")),
+        format!("params refer to each other in a cycle: {}", path.join(" -> ")),
     )
     .label(format!("{} refers to {}", text(cycle[0]), text(next(0))))
     .hint("give one of them a value of its own");
@@ -137,13 +137,13 @@ pub(super) fn seed(node: &Node, scope: &Scope<'_>, filler: &mut Filler<'_>) -> O
             Problem::new(
                 at,
                 format!(
-                    "the seed of {} is {}, expected a whole number, 0 or more",
+                    "the seed of {} is {}, expected a whole number of at least 0",
                     scope.place,
                     value.describe()
                 ),
             )
             .maybe_related(value.via, "used here")
-            .hint("write a number, or `$axis` for one seed an instance")
+            .hint("write a number, or `$axis` for one seed per instance")
         });
     }
     number

@@ -1,4 +1,4 @@
-//! The resolved pipeline: stage instances with checked parameters, wired. What the later phases work on.
+//! The resolved pipeline: connected stage instances with checked parameters. All later phases work on it.
 
 use std::sync::Arc;
 
@@ -35,21 +35,21 @@ pub struct StageInstance {
     pub kind: Kind,
     /// Normalised parameters: defaults filled in, checked.
     pub params: Value,
-    /// The seed; `None` where the kind draws no random number.
+    /// The seed; `None` where the kind is not seeded.
     pub seed: Option<Seed>,
-    /// What it takes of the machine.
+    /// The threads and the cost that it needs.
     pub needs: Needs,
-    /// How long and how much it may take, and how often it is tried; never part of the key.
+    /// Timeout, memory limit and retries; never part of the key.
     pub limits: Limits,
-    /// What it holds of what there is a number of, as `gpu: 1`; never part of the key.
+    /// The units of counted resources that it needs, as `gpu: 1`; never part of the key.
     pub resources: Resources,
     /// Its ports under these parameters.
     pub ports: Ports,
-    /// What is wired to each input, in the order of the ports. Unconnected optional inputs are absent.
+    /// The sources of each input, in the order of the ports. Unconnected optional inputs are absent.
     pub inputs: Vec<Wire>,
 }
 
-/// What is wired to one input.
+/// The sources of one input.
 #[derive(Clone, Debug)]
 pub struct Wire {
     /// The input's name.
@@ -60,18 +60,18 @@ pub struct Wire {
     pub sources: Vec<Source>,
 }
 
-/// Where an artifact comes from.
+/// A source of an input.
 #[derive(Clone, Debug)]
 pub struct Source {
     /// The stage output or file.
-    pub from: From,
+    pub from: Origin,
     /// Axis = value of the instance it comes from, plus `name` in a named fan-in. Empty for inputs that take one.
     pub labels: Labels,
 }
 
 /// The origin of an artifact.
 #[derive(Clone, Debug)]
-pub enum From {
+pub enum Origin {
     /// An output of a stage instance.
     Stage {
         /// Which instance.
@@ -87,17 +87,17 @@ pub enum From {
         place: String,
         /// True for a folder.
         folder: bool,
-        /// The content that it must have, in hexadecimal digits.
+        /// The digest that it must have, in hexadecimal digits.
         blake3: Option<String>,
-        /// What of a folder is left out, as globs.
+        /// Globs that are excluded from a folder.
         exclude: Vec<String>,
-        /// What tells it from other files: the path, and what is left out.
+        /// Identifies it: the path, and the exclude globs.
         key: String,
     },
 }
 
-impl From {
-    /// What tells it apart: the instance's number and the output, or the path.
+impl Origin {
+    /// Identifies it: the instance's number and the output, or the path.
     pub(super) fn identity(&self) -> (usize, &str) {
         match self {
             Self::Stage { stage, output } => (stage.index(), output),
@@ -118,7 +118,7 @@ impl StageInstance {
     }
 }
 
-/// The file name of an instance of stage `name` with these values; characters that some system refuses become `_`.
+/// The file name of an instance of stage `name` with these values; characters that file names cannot have become `_`.
 pub(super) fn file_stem<'v>(name: &str, values: impl Iterator<Item = &'v str>) -> String {
     let mut stem = name.to_owned();
     for value in values {
@@ -128,11 +128,11 @@ pub(super) fn file_stem<'v>(name: &str, values: impl Iterator<Item = &'v str>) -
     stem
 }
 
-/// Bytes that a file's name may have on nearly every file system.
+/// The maximum length of a file name in bytes on nearly every file system.
 const LONGEST_NAME: usize = 255;
 
-/// A file name of a stem and what has to stand behind it. Where that is longer than file systems allow, the stem is cut
-/// between two characters, and digits that depend on all of it keep it apart from others.
+/// A file name from a stem and an ending. If it is too long, the stem is cut between two characters, and a digest of the whole
+/// keeps it unique.
 pub fn file_name(stem: &str, rest: &str) -> String {
     if stem.len() + rest.len() <= LONGEST_NAME {
         return format!("{stem}{rest}");

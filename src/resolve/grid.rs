@@ -1,6 +1,5 @@
-//! Which combinations of its axes' values a stage has instances for, and in which order: the product of its matrix, the
-//! axes of a `zip` together, without those that `exclude` names, then those that `include` adds; of these, those that
-//! `when` lets through.
+//! The instances of a stage, in order: the product of the axes in its matrix (axes of a `zip` together), without the combinations
+//! that `exclude` matches, plus those of `include`; of these, those for which `when` is true.
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -24,9 +23,9 @@ pub(super) struct Grid {
 
 #[derive(Debug)]
 enum Cells {
-    /// All combinations, so many; the last axis is the fastest.
+    /// All combinations, with their number; the last axis varies fastest.
     All(usize),
-    /// These: the position on each axis, and the number of each.
+    /// These: the positions on each axis, and the index of each combination.
     Listed { list: Vec<Cell>, index: HashMap<Cell, usize> },
 }
 
@@ -77,7 +76,7 @@ impl Grid {
         }
     }
 
-    /// The instances whose position on each axis is among those that are allowed there, in order.
+    /// The instances whose position on each axis is allowed, in order.
     pub fn select(&self, allowed: &[Vec<usize>]) -> Vec<usize> {
         match &self.cells {
             Cells::All(_) => self.axes.iter().zip(allowed).fold(vec![0], |before, (axis, positions)| {
@@ -112,7 +111,7 @@ fn narrow(position: usize) -> u32 {
     u32::try_from(position).unwrap_or(u32::MAX)
 }
 
-/// Every combination of one part from each list, the last list the fastest.
+/// Every combination of one part from each list; the last list varies fastest.
 fn product(parts: impl Iterator<Item = Vec<Vec<u32>>>) -> Vec<Vec<u32>> {
     parts.fold(vec![Vec::new()], |before, part| {
         let with =
@@ -121,7 +120,7 @@ fn product(parts: impl Iterator<Item = Vec<Vec<u32>>>) -> Vec<Vec<u32>> {
     })
 }
 
-/// The instances of a stage; `None` where its matrix is broken, which was reported.
+/// The instances of a stage; `None` where its matrix is invalid, which was reported.
 pub(super) fn grid<'a>(
     stage: &'a Stage,
     context: &ResolveContext<'a>,
@@ -142,7 +141,7 @@ pub(super) fn grid<'a>(
                 "the matrix of stage `{}` has more than {MAX_INSTANCES} combinations",
                 stage.name.text
             );
-            Problem::new(stage.name.span, message).hint("is there an axis too many in it?")
+            Problem::new(stage.name.span, message).hint("does it have too many axes?")
         });
         return None;
     }
@@ -154,7 +153,7 @@ pub(super) fn grid<'a>(
         .zip(lengths)
         .map(|(group, length)| (0..length).map(|at| vec![narrow(at); group.len()]).collect());
     let mut cells: Vec<Cell> = product(parts).into_iter().map(Vec::into_boxed_slice).collect();
-    // Axes of one group stand beside each other in a cell; the axes themselves do too.
+    // Axes of one group are adjacent in a cell, as in the matrix.
     if let Some(node) = &rules.exclude {
         exclude(node, stage, &axes, &mut cells, context, filler)?;
     }
@@ -164,8 +163,8 @@ pub(super) fn grid<'a>(
     if cells.is_empty() {
         filler.problems.add(|| {
             let at = rules.exclude.as_ref().map_or(stage.name.span, |node| node.span);
-            Problem::new(at, format!("nothing is left of the matrix of stage `{}`", stage.name.text)).hint(
-                "`exclude` takes all combinations away; a stage that is needed at times only has `when`",
+            Problem::new(at, format!("the matrix of stage `{}` has no combinations left", stage.name.text)).hint(
+                "`exclude` removes all combinations; use `when` for a stage that is needed only sometimes",
             )
         });
         return None;
@@ -210,7 +209,7 @@ fn axis_of(key: &Key, what: &str, stage: &Stage, axes: &[Axis], filler: &mut Fil
             let name = crate::spec::node::shorten(&key.text);
             Problem::new(
                 key.span,
-                format!("`{what}` names `{name}`, which is no axis of stage `{}`", stage.name.text),
+                format!("`{what}` names `{name}`, which is not an axis of stage `{}`", stage.name.text),
             )
             .hint(suggest::hint(&key.text, "its axes", axes.iter().map(|axis| &*axis.name)))
         });
@@ -251,7 +250,7 @@ fn exclude(
     fine.then_some(())
 }
 
-/// The place of a value on an axis: inner `None` for one that a profile or `--set` left out.
+/// The position of a value on an axis: inner `None` for one that a profile or `--set` removed.
 fn position(axis: &Axis, value: &Node, what: &str, filler: &mut Filler<'_>) -> Option<Option<usize>> {
     let text = value.scalar_text().unwrap_or_default();
     let found = axis.position(&text);
@@ -295,7 +294,10 @@ fn include(
                     let names: Vec<&str> = axes.iter().map(|axis| &*axis.name).collect();
                     Problem::new(
                         at,
-                        format!("a combination in `include` lacks an axis of stage `{}`", stage.name.text),
+                        format!(
+                            "a combination in `include` is missing an axis of stage `{}`",
+                            stage.name.text
+                        ),
                     )
                     .hint(format!("give a value for each of {}", suggest::list(&names)))
                 });
@@ -320,7 +322,7 @@ fn include(
     fine.then_some(())
 }
 
-/// The place of a value that `include` gives; one that is new is added to the stage's own axis.
+/// The position of a value in `include`; a new one is added to the stage's own axis.
 fn added(axis: &mut Axis, value: &Node, filler: &mut Filler<'_>) -> Option<usize> {
     let Some(label) = value.scalar_text() else {
         filler.problems.add(|| {
@@ -341,7 +343,7 @@ fn added(axis: &mut Axis, value: &Node, filler: &mut Filler<'_>) -> Option<usize
     Some(axis.values.len() - 1)
 }
 
-/// The instances for which one of the maps holds; there may be none.
+/// The instances for which one of the maps matches; there may be none.
 fn when(
     node: &Node,
     stage: &Stage,

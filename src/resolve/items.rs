@@ -1,4 +1,4 @@
-//! What stands at an input, taken apart: one wiring or file, a list of such, or a map of names to such.
+//! Parses the value of an input: a reference or file, a list of these, or a map of names to these.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use crate::spec::node::{Key, Node, Value};
 use crate::spec::problem::Problem;
 use crate::spec::source::Span;
 
-/// A single wiring or file.
+/// A single reference or file.
 pub(super) struct Item {
     /// Its name in a named fan-in.
     pub name: Option<Arc<str>>,
@@ -29,12 +29,12 @@ pub(super) enum What {
     Stage(String),
 }
 
-/// Takes the wiring of one input apart.
+/// Parses the value of one input.
 pub(super) struct Unpacker<'u, 'p> {
     pub filler: &'u mut Filler<'p>,
     pub scope: &'u Scope<'u>,
     pub input: &'u Input,
-    /// Where `inputs` speaks of it.
+    /// Its place in `inputs`.
     pub at: Span,
     /// What was found.
     pub items: Vec<Item>,
@@ -42,7 +42,7 @@ pub(super) struct Unpacker<'u, 'p> {
     pub broken: bool,
 }
 
-/// Where in a wiring we are.
+/// The position in the value.
 #[derive(Clone, Copy, Default)]
 struct Inside<'n> {
     /// In a named fan-in, under this name.
@@ -102,8 +102,11 @@ impl Unpacker<'_, '_> {
     fn file(&mut self, entries: &[(Key, Node)], node: &Node, inside: Inside<'_>) {
         let [(key, path)] = entries else {
             return self.report(|| {
-                Problem::new(node.span, "found `file` beside other names, expected `{ file: path }` alone")
-                    .hint("in a named fan-in, write `{ my-name: { file: path }, ... }`")
+                Problem::new(
+                    node.span,
+                    "found `file` together with other names, expected only `{ file: path }`",
+                )
+                .hint("in a named fan-in, write `{ my-name: { file: path }, ... }`")
             });
         };
         let filled = if inside.value { Some(path.clone()) } else { self.filler.fill(path, self.scope) };
@@ -134,8 +137,11 @@ impl Unpacker<'_, '_> {
         let at = if node.span.is_empty() { self.at } else { node.span };
         let input = self.input.name;
         self.report(|| {
-            Problem::new(at, format!("found {what} at input `{input}`, expected what is wired to it"))
-                .hint(reference::FORM)
+            Problem::new(
+                at,
+                format!("found {what} at input `{input}`, expected a reference to a stage or a file"),
+            )
+            .hint(reference::FORM)
         });
     }
 
@@ -143,7 +149,7 @@ impl Unpacker<'_, '_> {
         let input = self.input.name;
         self.report(|| {
             Problem::new(node.span, format!("input `{input}` takes one artifact, but found a map of names"))
-                .hint("only inputs that take many artifacts tell them apart by name")
+                .hint("only inputs that take many artifacts can name them")
                 .hint(reference::FORM)
         });
     }
@@ -154,7 +160,7 @@ impl Unpacker<'_, '_> {
     }
 }
 
-/// A path that a file in `folder` names, relative to the folder of the pipeline file.
+/// A path in a file in `folder`, relative to the folder of the pipeline file.
 pub(super) fn beside(folder: &str, path: &str) -> String {
     if folder.is_empty() { path.to_owned() } else { joined(folder, path) }
 }

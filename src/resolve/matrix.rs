@@ -1,4 +1,4 @@
-//! The axes of a stage's matrix, with their values, and which of them go together.
+//! The axes of a stage's matrix with their values, and which of them are zipped.
 
 use super::axes::Axis;
 use super::context::ResolveContext;
@@ -12,7 +12,7 @@ use crate::spec::suggest;
 #[derive(Debug)]
 pub(super) struct Matrix {
     pub axes: Vec<Axis>,
-    /// Numbers of axes that go together: those of a `zip`, and each other one by itself. In order, none twice.
+    /// Groups of axis numbers: the axes of a `zip` together, every other axis alone. In order.
     pub groups: Vec<Vec<usize>>,
 }
 
@@ -39,7 +39,7 @@ pub(super) fn axes(stage: &Stage, context: &ResolveContext<'_>, filler: &mut Fil
         let (first, other_axis) = (written[group[0]], written[other]);
         filler.problems.add(|| {
             let message = format!(
-                "axes `{}` and `{}` of stage `{}` go together, but have {} and {} values",
+                "the zipped axes `{}` and `{}` of stage `{}` have {} and {} values",
                 first.name.text,
                 other_axis.name.text,
                 stage.name.text,
@@ -49,7 +49,7 @@ pub(super) fn axes(stage: &Stage, context: &ResolveContext<'_>, filler: &mut Fil
             Problem::new(other_axis.name.span, message)
                 .maybe_related(Some(first.name.span), "the other")
                 .hint(format!("their values are {} and {}", axes[group[0]].list(), axes[other].list()))
-                .hint("`zip` takes the first of each, then the second of each, and so on")
+                .hint("`zip` combines the first values, then the second values, and so on")
         });
     }
     fine.then_some(Matrix { axes, groups })
@@ -80,7 +80,7 @@ fn matrix_axis(
                     format!("the matrix of stage `{}` names the unknown axis `{name}`", stage.name.text),
                 )
                 .hint(suggest::hint(&axis.name.text, "the axes", context.axes.names()))
-                .hint(format!("values of this stage only are written as `matrix: {{ {name}: [1, 2] }}`"))
+                .hint(format!("for values of this stage only, write `matrix: {{ {name}: [1, 2] }}`"))
             });
             None
         }

@@ -1,11 +1,11 @@
-//! Laying one value over another: maps are merged entry by entry, anything else replaces.
+//! Merges values: maps are merged entry by entry, anything else is replaced.
 
 use std::collections::HashMap;
 use std::sync::Arc;
 
 use crate::spec::node::{Key, Node, Value};
 
-/// `overlay` over `base`. A merged map keeps the place of `base`; every value in it, the place it was written at.
+/// Merges `overlay` over `base`. A merged map keeps the place of `base`; every value in it keeps its own place.
 pub(super) fn merge(base: Node, overlay: Node) -> Node {
     if overlay.replace {
         return overlay;
@@ -39,7 +39,7 @@ fn merge_entries(below: Vec<(Key, Node)>, over: Vec<(Key, Node)>) -> Vec<(Key, N
     entries.into_iter().flatten().collect()
 }
 
-/// The layers that matter: from the last one that replaces whatever lies below it.
+/// The layers that matter: from the last one that replaces everything below it.
 pub(super) fn effective<'n>(layers: &[&'n Node]) -> Vec<&'n Node> {
     let merges = |node: &Node| match &node.value {
         Value::Map(_) => !node.replace,

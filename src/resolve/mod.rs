@@ -1,10 +1,9 @@
 //! From a [`Spec`] to a [`Graph`] of stage instances: profile, overrides, matrices, parameters, wiring, type check.
 //! Pure: no I/O. All problems at once.
 //!
-//! `choices` reads profile and `--set`; `globals` and `axes` give params and axes their values; `matrix` and `grid`
-//! multiply matrices out, and `expand` has each instance's parameters checked; `items`, `select` and `wiring` connect
-//! instances; `build` makes the graph.
-//! `scope` knows what `$name` means where, `template` and `reference` take its text and that of a wiring apart.
+//! `choices` parses profile and `--set`; `globals` and `axes` evaluate params and axes; `matrix` and `grid` expand matrices, and
+//! `expand` checks the parameters of each instance; `items`, `select` and `wiring` connect instances; `build` makes the graph.
+//! `scope` resolves `$name`; `template` and `reference` parse texts with `$` and input references.
 
 mod axes;
 mod build;
@@ -30,7 +29,7 @@ mod wiring;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 
-pub use graph::{From, Graph, Source, StageIndex, StageInstance, Wire, file_name};
+pub use graph::{Graph, Origin, Source, StageIndex, StageInstance, Wire, file_name};
 pub use pattern::{NoStage, Pattern};
 pub use target::{Selected, Selection};
 
@@ -42,24 +41,23 @@ use choices::{Layers, Spread};
 use context::ResolveContext;
 use scope::{Filler, Scope};
 
-/// What the user chose on the command line.
+/// The choices of the user: profile, overrides and environment.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Choices {
-    /// `--profile`; without it, the first profile of the file.
+    /// The profile (`--profile`); `None` for the first one in the file.
     pub profile: Option<String>,
-    /// `--set` arguments as given: `dril.total_timesteps=98304`. Later ones win.
+    /// Overrides (`--set`), as in `dril.total_timesteps=98304`. Later ones win.
     pub set: Vec<String>,
-    /// The environment of the run, as far as it is text: stages that name a variable are given its value, and run anew
-    /// when it changes.
+    /// The environment variables whose values are UTF-8. A stage that names one gets its value, and runs again when it changes.
     pub environment: BTreeMap<String, String>,
-    /// Variables that are set, but to no text (they are not UTF-8): a stage that names one cannot be given its value.
+    /// Environment variables whose values are not UTF-8: a stage that names one is an error.
     pub not_text: BTreeSet<String>,
 }
 
 /// Resolves a pipeline file.
 ///
 /// # Errors
-/// All that is wrong with it, each with its place: also what [`crate::spec::parse`] found.
+/// All problems, each with its place, including those that [`crate::spec::parse`] found.
 pub fn resolve(spec: &Spec, choices: &Choices, registry: &Registry) -> Result<Graph, Diagnostics> {
     let mut spread = Spread::new();
     loop {
@@ -68,7 +66,7 @@ pub fn resolve(spec: &Spec, choices: &Choices, registry: &Registry) -> Result<Gr
         let layers = Layers::read(spec, choices, &spread, &mut sources, &mut problems);
         let mut filler = Filler::new(&sources, &mut problems);
         let graph = resolve_layers(spec, &layers, registry, choices, &mut filler);
-        // Each time round one more stage has the axis of a sweep, so there is an end.
+        // Each iteration adds the axis of a sweep to another stage, so the loop ends.
         let before = spread.len();
         spread.append(&mut filler.spread);
         if spread.len() > before {

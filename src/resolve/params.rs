@@ -1,4 +1,4 @@
-//! From values with places to the parameters of a kind, and from what the kind says of them back to the places.
+//! Converts values with places to the parameters of a kind, and the problems that the kind finds back to places.
 
 use dril_stage_api::ParamProblem;
 use serde_json::Value as Json;
@@ -21,8 +21,7 @@ pub(super) fn to_json(node: &Node) -> Json {
     }
 }
 
-/// As [`to_json`], of the parameters of a kind to which those called `texts` are texts: numbers in them stay as they were
-/// written.
+/// As [`to_json`], for the parameters of a kind: numbers in the text parameters `texts` keep their spelling.
 pub(super) fn to_params(with: &Node, texts: &[&str]) -> Json {
     let Value::Map(entries) = &with.value else { return to_json(with) };
     let param = |(key, node): &(Key, Node)| {
@@ -43,8 +42,8 @@ fn to_texts(node: &Node) -> Json {
     }
 }
 
-/// What a kind found wrong with `with`, the parameters of `stage`, at the line that the wrong value came from. `whole`
-/// is the place of what is missing altogether.
+/// A problem that a kind found in `with`, the parameters of `stage`, at the place of the value. `whole` is the place of missing
+/// values.
 pub(super) fn explain(found: &ParamProblem, with: &Node, stage: &str, whole: Span) -> Problem {
     let reached = follow(with, &found.path);
     let words = found.message.trim_end_matches('.');
@@ -123,11 +122,11 @@ fn unknown_name(message: &str) -> Option<&str> {
     if former || message.starts_with("unknown ") { message.split('`').nth(1) } else { None }
 }
 
-/// serde's words for what it found and expected, in words of the pipeline file.
+/// Translates serde's message about a type to the terms of pipeline files.
 fn plain_words(text: &str, node: &Node) -> (String, Option<String>) {
     let Some((_, expected)) = text.split_once(", expected ") else { return (text.to_owned(), None) };
     let (expected, hint) = match expected {
-        "u8" | "u16" | "u32" | "u64" | "usize" => ("a whole number, 0 or more", whole_number(node)),
+        "u8" | "u16" | "u32" | "u64" | "usize" => ("a whole number of at least 0", whole_number(node)),
         "i8" | "i16" | "i32" | "i64" | "isize" => ("a whole number", whole_number(node)),
         "f32" | "f64" => ("a number", without_underscores(node)),
         "a boolean" => ("`true` or `false`", boolean(node)),
@@ -177,7 +176,7 @@ fn scalar(node: &Node) -> Option<String> {
     node.scalar_text().map(|text| format!("write it in quotes: `\"{text}\"`"))
 }
 
-/// Two alternatives in one place: usually one of them came by merging.
+/// Two alternatives in one place: usually because of merging.
 fn several(found: &ParamProblem, reached: &Reached<'_>, stage: &str) -> Option<Problem> {
     let Value::Map(entries) = &reached.node.value else { return None };
     let ([first, .., last], true) = (entries.as_slice(), found.message.contains("map with a single key"))

@@ -1,17 +1,17 @@
-//! How stages are named on the command line, for all commands: `table22`, `table*`, `evaluate[policy=beta, seed=1|2]`.
+//! Patterns that select stages on the command line: `table22`, `table*`, `evaluate[policy=beta, seed=1|2]`.
 
 use std::collections::BTreeSet;
 
 use super::graph::{Graph, StageIndex, StageInstance};
 use crate::spec::suggest;
 
-/// A pattern that means no stage.
+/// A pattern that matches no stage.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{message}")]
 pub struct NoStage {
     /// What was seen and what was expected.
     pub message: String,
-    /// How to mend it.
+    /// How to fix it.
     pub hint: String,
 }
 
@@ -24,14 +24,14 @@ pub struct Pattern<'t> {
 }
 
 impl<'t> Pattern<'t> {
-    /// Takes a pattern apart.
+    /// Parses a pattern.
     ///
     /// # Errors
-    /// It can name no stage.
+    /// It is not a valid pattern.
     pub fn parse(text: &'t str) -> Result<Self, NoStage> {
         let bad = || NoStage {
-            message: format!("`{}` names no stage", crate::spec::node::shorten(text)),
-            hint: "stages are named as `table22`, `table*` or `evaluate[policy=beta, seed=1|2]`".to_owned(),
+            message: format!("`{}` is not a valid stage pattern", crate::spec::node::shorten(text)),
+            hint: "write `table22`, `table*` or `evaluate[policy=beta, seed=1|2]`".to_owned(),
         };
         let (name, rest) = match text.split_once('[') {
             Some((name, rest)) => (name, Some(rest.trim_end().strip_suffix(']').ok_or_else(bad)?)),
@@ -46,17 +46,17 @@ impl<'t> Pattern<'t> {
         if name.is_empty() || name.contains([']', '=']) { Err(bad()) } else { Ok(Self { text, name, axes }) }
     }
 
-    /// The stages that it means, in node order.
+    /// The stages that it matches, in node order.
     ///
     /// # Errors
-    /// It means none.
+    /// It matches none.
     pub fn stages(&self, graph: &Graph) -> Result<Vec<StageIndex>, NoStage> {
         let all = graph.stages.node_indices();
         let found: Vec<StageIndex> = all.filter(|index| self.means(&graph.stages[*index])).collect();
         if found.is_empty() { Err(self.explain(graph)) } else { Ok(found) }
     }
 
-    /// True where it means the stage with this id, as in `dril[expert=clipped, policy=beta]`.
+    /// True where it matches the stage with this id, as in `dril[expert=clipped, policy=beta]`.
     pub fn means_id(&self, id: &str) -> bool {
         let (name, rest) = match id.strip_suffix(']').and_then(|id| id.split_once('[')) {
             Some((name, rest)) => (name, rest),
@@ -79,7 +79,7 @@ impl<'t> Pattern<'t> {
             })
     }
 
-    /// Why it fits nothing.
+    /// Why it matches nothing.
     fn explain(&self, graph: &Graph) -> NoStage {
         let stages = || graph.stages.node_weights();
         let distinct = |names: &mut dyn Iterator<Item = String>| names.collect::<BTreeSet<_>>();
@@ -109,12 +109,12 @@ impl<'t> Pattern<'t> {
         }
         NoStage {
             message: format!("`{shown}`: no instance has all of these values"),
-            hint: "leave one of them out; `dril-pipe plan --all` lists the instances".to_owned(),
+            hint: "remove one of them; `dril-pipe plan --all` lists the instances".to_owned(),
         }
     }
 }
 
-/// True where `text` is what `pattern` says: `*` stands for any characters, `?` for one.
+/// True where `text` matches `pattern`: `*` matches any characters, `?` one.
 fn glob(pattern: &str, text: &str) -> bool {
     let (pattern, text): (Vec<char>, Vec<char>) = (pattern.chars().collect(), text.chars().collect());
     let (mut p, mut t) = (0, 0);

@@ -1,4 +1,4 @@
-//! The text of a wiring: `stage`, `stage.output`, `stage[axis=value, axis=*, axis=a|b, axis=$x].output`.
+//! Parses input references: `stage`, `stage.output`, `stage[axis=value, axis=*, axis=a|b, axis=$x].output`.
 
 use std::ops::Range;
 
@@ -11,7 +11,7 @@ pub(super) struct Word<'t> {
     pub range: Range<usize>,
 }
 
-/// A wiring taken apart.
+/// A parsed input reference.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Reference<'t> {
     pub stage: Word<'t>,
@@ -19,26 +19,26 @@ pub(super) struct Reference<'t> {
     pub output: Option<Word<'t>>,
 }
 
-/// What is asked of one axis.
+/// The selector of one axis.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Selector<'t> {
     pub axis: Word<'t>,
-    /// Alternatives; a lone `*` is all values, `$path` the value of that name.
+    /// Alternatives; `*` alone selects all values, `$path` the value of that name.
     pub values: Vec<Word<'t>>,
 }
 
-/// Where the text is no wiring, and why.
+/// Why and where a text is not an input reference.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct BadReference {
     pub range: Range<usize>,
     pub message: String,
 }
 
-/// How it is written, for hints.
+/// The syntax, for hints.
 pub(super) const FORM: &str =
-    "an input is written as `stage`, `stage.output`, `stage[axis=value, axis=*].output` or `{ file: path }`";
+    "write `stage`, `stage.output`, `stage[axis=value, axis=*].output` or `{ file: path }`";
 
-/// Takes a wiring apart.
+/// Parses an input reference.
 pub(super) fn parse(text: &str) -> Result<Reference<'_>, BadReference> {
     let whole = word(text, 0..text.len());
     let bad = |range: Range<usize>, message: &str| Err(BadReference { range, message: message.to_owned() });
@@ -95,7 +95,7 @@ fn selector<'t>(text: &'t str, part: Word<'t>) -> Result<Selector<'t>, BadRefere
             return bad(value.range.clone(), "expected a value of the axis, `*`, or `$name`");
         }
         if value.text == "*" && values.len() > 1 {
-            return bad(value.range.clone(), "`*` takes all values already, expected it alone");
+            return bad(value.range.clone(), "`*` selects all values, expected it alone");
         }
     }
     Ok(Selector { axis, values })
@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_wiring_is_refused_at_the_spot() {
+    fn an_invalid_reference_is_refused_with_its_place() {
         for (text, expected) in [
             ("", "expected the name of a stage at \"\""),
             ("a b", "expected the name of a stage at \"a b\""),
@@ -165,7 +165,7 @@ mod tests {
             ("a[]", "expected `axis=value` between the brackets at \"\""),
             ("a[clipped]", "expected `axis=value` at \"clipped\""),
             ("a[x=]", "expected a value of the axis, or `*` for all at \"\""),
-            ("a[x=*|b]", "`*` takes all values already, expected it alone at \"*\""),
+            ("a[x=*|b]", "`*` selects all values, expected it alone at \"*\""),
             ("a[x=1]out", "expected `.output` or the end here at \"out\""),
             ("a.", "expected the name of an output after the `.` at \".\""),
             ("a.b.c", "expected the name of an output after the `.` at \".b.c\""),

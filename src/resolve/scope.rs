@@ -1,4 +1,4 @@
-//! The names that `$` knows at one place of the file, and putting their values in.
+//! Resolves `$name` at a place of the file.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -12,47 +12,47 @@ use crate::spec::problem::{Problem, Problems};
 use crate::spec::source::{Sources, Span};
 use crate::spec::suggest;
 
-/// Values in one param, or in the parameters of one instance: a few lines of `$a` inside `$b` could ask for more than
-/// there are atoms.
+/// The maximum number of values in one param or in the parameters of one instance: a few nested `$name`s could otherwise ask for
+/// astronomically many.
 const MAX_HERE: usize = 100_000;
-/// Values in the parameters of all instances together.
+/// The maximum number of values in the parameters of all instances together.
 const MAX_TOTAL: usize = 10_000_000;
-/// The longest text that `${...}` may put together, in bytes.
+/// The maximum length of a text with `${...}`, in bytes.
 const MAX_TEXT: usize = 1 << 16;
 
-/// What holds for the whole pipeline.
+/// Values of the whole pipeline.
 pub(super) struct Globals {
     pub pipeline: Arc<str>,
     pub profile: Arc<str>,
-    /// `None` for a param that is broken, which was reported.
+    /// `None` for an invalid param, which was reported.
     pub params: HashMap<Arc<str>, Option<Node>>,
 }
 
-/// The names at one place.
+/// The names at a place.
 pub(super) struct Scope<'a> {
     pub globals: &'a Globals,
     /// The axes of the stage's matrix, at one of its instances; empty outside of stages.
     pub axes: Vec<(&'a str, &'a AxisValue)>,
-    /// All axes, to tell a name that is unknown from one that does not hold here.
+    /// All axes, to distinguish an unknown name from one that is not available here.
     pub all_axes: &'a HashMap<Arc<str>, Span>,
-    /// "stage `dril`", or where else we are.
+    /// "stage `dril`", or another place.
     pub place: &'a str,
 }
 
-/// Puts values in; shared by all scopes of one resolution.
+/// Fills in values; shared by all scopes of one resolution.
 pub(super) struct Filler<'p> {
     pub sources: &'p Sources,
     pub problems: &'p mut Problems,
-    /// Values made so far, in all and for the value being filled.
+    /// The number of values so far, in total and for the current value.
     total: usize,
     here: usize,
     /// Stages that turned out to need the axis of a sweep.
     pub spread: Spread,
 }
 
-/// A name that gives no value.
+/// A name without a value.
 enum Miss {
-    /// Its value is broken, which was reported.
+    /// Its value is invalid, which was reported.
     Broken,
     Unknown {
         message: String,
@@ -130,7 +130,7 @@ fn field<'n>(node: &'n Node, name: &str, path: &str) -> Result<&'n Node, Miss> {
     let Value::Map(entries) = &node.value else {
         return Err(Miss::Unknown {
             message: format!("`${path}`: found {}, which has no field `{name}`", node.describe()),
-            hint: "a path goes into maps only".to_owned(),
+            hint: "a path can only go into maps".to_owned(),
             related: Some(node.span),
         });
     };
@@ -223,8 +223,7 @@ impl<'p> Filler<'p> {
                     self.problems.add(|| {
                         let message =
                             format!("with this value, lists and maps are more than {MAX_DEPTH} deep");
-                        Problem::new(at, message)
-                            .hint("no pipeline needs that; do the params hold each other?")
+                        Problem::new(at, message).hint("do the params contain each other?")
                     });
                     return None;
                 }
@@ -251,7 +250,7 @@ impl<'p> Filler<'p> {
             if text.as_ref().is_some_and(|text| text.len() > MAX_TEXT) {
                 self.problems.add(|| {
                     Problem::new(node.span, format!("the text grows beyond {MAX_TEXT} characters"))
-                        .hint("do the params hold each other many times over?")
+                        .hint("do the params contain each other many times?")
                 });
                 return None;
             }
@@ -268,13 +267,13 @@ impl<'p> Filler<'p> {
                 Problem::new(
                     at,
                     format!(
-                        "`${{{}}}` is {}, expected a value that can stand in a text",
+                        "`${{{}}}` is {}, expected a value that a text can contain",
                         path.text,
                         found.describe()
                     ),
                 )
                 .maybe_related((found.span != at).then_some(found.span), "its value")
-                .hint("inside a text only texts, numbers, `true` and `false` can stand")
+                .hint("a text can only contain texts, numbers, `true` and `false`")
             });
         }
         text
@@ -312,7 +311,7 @@ impl<'p> Filler<'p> {
         if fits(self.here, MAX_HERE) && fits(self.total, MAX_TOTAL) {
             return Some(());
         }
-        // Said once, where it happens; what follows from it is no news.
+        // Reported once, where it happens.
         if fits(here, MAX_HERE) && fits(total, MAX_TOTAL) {
             self.problems.add(|| {
                 let problem = if fits(self.here, MAX_HERE) {
@@ -323,9 +322,8 @@ impl<'p> Filler<'p> {
                 } else {
                     Problem::new(at, format!("with this, the value has more than {MAX_HERE} parts"))
                 };
-                problem.hint(
-                    "are there too many stage instances, or params that hold each other many times over?",
-                )
+                problem
+                    .hint("are there too many stage instances, or params that contain each other many times?")
             });
         }
         None

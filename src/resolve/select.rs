@@ -1,4 +1,4 @@
-//! Which instances of a stage a wiring means, and which of their outputs.
+//! Selects the instances of a stage that an input reference means, and their output.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -11,7 +11,7 @@ use crate::spec::problem::Problem;
 use crate::spec::source::Span;
 use crate::spec::suggest;
 
-/// What a wiring is read for: one input of one instance.
+/// The consumer of a reference: one input of one instance.
 #[derive(Clone, Copy)]
 pub(super) struct Consumer<'a> {
     pub stage: &'a str,
@@ -21,13 +21,13 @@ pub(super) struct Consumer<'a> {
 }
 
 impl Consumer<'_> {
-    /// True where all instances may be taken at once.
+    /// True where several instances can be taken.
     fn takes_many(&self) -> bool {
         self.input.arity == Arity::Many
     }
 }
 
-/// A selector whose `$name` has been looked up: the labels that it allows, or all.
+/// A selector with its `$name` resolved: the labels that it allows, or all.
 pub(super) struct Chosen<'t> {
     pub axis: Word<'t>,
     pub axis_at: Span,
@@ -42,8 +42,8 @@ impl<'t> Chosen<'t> {
     }
 }
 
-/// The numbers of the instances of `producer` that are meant, in matrix order; none where its matrix leaves them out. `at`
-/// is the whole wiring.
+/// The numbers of the selected instances of `producer`, in matrix order; empty where its matrix excludes them. `at` is the place
+/// of the whole reference.
 pub(super) fn instances(
     producer: &Expanded<'_>,
     chosen: &[Chosen<'_>],
@@ -60,7 +60,7 @@ pub(super) fn instances(
             Err(problem) => problems.push(problem),
         }
     }
-    // A misspelt axis leaves the one that was meant open; that is no news.
+    // A misspelt axis leaves the intended one without a selector; that is not reported again.
     if !open.is_empty() && problems.is_empty() {
         problems.push(unaddressed(producer, &open, !chosen.is_empty(), consumer, at));
     }
@@ -84,16 +84,16 @@ fn unknown_axes(producer: &Expanded<'_>, chosen: &[Chosen<'_>]) -> Vec<Problem> 
         }
         if let Some(first) = seen.insert(name, selector.axis_at) {
             problems.push(
-                Problem::new(selector.axis_at, format!("the axis `{name}` is addressed twice"))
+                Problem::new(selector.axis_at, format!("the axis `{name}` is selected twice"))
                     .maybe_related(Some(first), "first")
-                    .hint("alternatives are written as `axis=a|b`"),
+                    .hint("write alternatives as `axis=a|b`"),
             );
         }
     }
     problems
 }
 
-/// The positions on one axis; `None` where nothing says which and the input takes one.
+/// The positions on one axis; `None` where the input takes one and nothing selects it.
 fn positions(
     axis: &Axis,
     producer: &Expanded<'_>,
@@ -113,7 +113,7 @@ fn positions(
     if let Some((_, value)) = consumer.coordinates.iter().find(|(name, _)| *name == &*axis.name) {
         let position = axis.position(&value.label).ok_or_else(|| {
             no_value(axis, producer, &value.label, at).hint(format!(
-                "stage `{}` has that value, and takes the same one from stage `{}` unless told otherwise",
+                "stage `{}` has that value, and by default takes the same one from stage `{}`",
                 consumer.stage,
                 producer.name()
             ))
@@ -140,14 +140,14 @@ fn unaddressed(
     let example: Vec<String> =
         open.iter().map(|axis| format!("{}={}", axis.name, axis.values[0].label)).collect();
     let message = format!(
-        "input `{}` of stage `{}` takes one artifact, but nothing says which {} of stage `{}` is meant",
+        "input `{}` of stage `{}` takes one artifact, but nothing selects the {} of stage `{}`",
         consumer.input.name,
         consumer.stage,
         names.join(" and "),
         producer.name()
     );
     let hint = format!(
-        "choose, as in `{}[{}{}]`, or add {} to the matrix of `{}`",
+        "select one, as in `{}[{}{}]`, or add {} to the matrix of `{}`",
         producer.name(),
         if more { "..., " } else { "" },
         example.join(", "),
@@ -161,7 +161,7 @@ fn unaddressed(
         .hint(hint)
 }
 
-/// The output of `instance` that `reference` means.
+/// The output of `instance` that `reference` selects.
 pub(super) fn output<'i>(
     instance: &'i Instance,
     producer: &Expanded<'_>,
@@ -212,7 +212,7 @@ fn wrong_type(outputs: &[&Output], producer: &Expanded<'_>, consumer: &Consumer<
         ),
     )
     .hint(format!(
-        "wire an output of type `{}`; `dril-pipe kinds` lists each kind's inputs and outputs",
+        "connect an output of type `{}`; `dril-pipe kinds` lists the inputs and outputs of each kind",
         input.artifact
     ))
 }
@@ -223,7 +223,7 @@ fn ambiguous(several: &[&Output], producer: &Expanded<'_>, consumer: &Consumer<'
     Problem::new(
         at,
         format!(
-            "stage `{}` has {} outputs that input `{}` of stage `{}` could take, and nothing says which is meant",
+            "stage `{}` has {} outputs that fit input `{}` of stage `{}`, and nothing selects one",
             producer.name(),
             several.len(),
             consumer.input.name,

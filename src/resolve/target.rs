@@ -1,4 +1,4 @@
-//! Which stages of a graph a command is about: `table22`, `table*`, `evaluate[policy=beta, seed=1|2]`.
+//! Selects the stages of a graph for a command: `table22`, `table*`, `evaluate[policy=beta, seed=1|2]`.
 
 use std::collections::BTreeSet;
 
@@ -6,32 +6,32 @@ use petgraph::Direction;
 use petgraph::graph::DiGraph;
 use petgraph::visit::EdgeRef;
 
-use super::graph::{From, Graph, StageIndex, StageInstance};
+use super::graph::{Graph, Origin, StageIndex, StageInstance};
 use super::pattern::{NoStage, Pattern};
 
-/// What was asked for.
+/// The selection of stages.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Selection {
-    /// Stages to bring up to date, with all that they need; without any, all stages.
+    /// Target stages, which are brought up to date with everything upstream; all stages if empty.
     pub targets: Vec<String>,
-    /// Stages with all that depends on them; of the targets, those that do.
+    /// Of the targets, only these stages and stages downstream of them.
     pub from: Vec<String>,
-    /// Stages to run again although they are cached.
+    /// Stages that run even if they are cached.
     pub force: Vec<String>,
-    /// True: nothing but these stages; what they need must be there.
+    /// True: only the targets run; everything upstream must be cached.
     pub only: bool,
 }
 
 /// A part of a graph.
 #[derive(Clone, Debug)]
 pub struct Selected {
-    /// The stages that were asked for and, since their keys come from there, all that they need.
+    /// The targets and everything upstream, on which their keys depend.
     pub graph: Graph,
-    /// All stages, and the place of each in `graph`; `None` where nothing was left out.
+    /// All stages, and the index of each in `graph`; `None` where all stages are selected.
     pub whole: Option<(Graph, Vec<Option<StageIndex>>)>,
-    /// Stages of `graph` that are to run although they are cached.
+    /// Stages of `graph` that run even if they are cached.
     pub forced: BTreeSet<StageIndex>,
-    /// Stages of `graph` that must be cached, since only others were asked for.
+    /// Stages of `graph` that must be cached, because they are not targets (`--only`).
     pub must_be_cached: BTreeSet<StageIndex>,
 }
 
@@ -41,7 +41,7 @@ impl Selected {
         self.whole.as_ref().map_or(&self.graph, |(graph, _)| graph)
     }
 
-    /// The place in `graph` of a stage of [`Selected::all`]; `None` where it is no part of it.
+    /// The index in `graph` of a stage of [`Selected::all`]; `None` where it is not selected.
     pub fn place(&self, stage: StageIndex) -> Option<StageIndex> {
         match &self.whole {
             Some((_, places)) => places.get(stage.index()).copied().flatten(),
@@ -51,15 +51,15 @@ impl Selected {
 }
 
 impl Selection {
-    /// True where nothing is left out and nothing forced.
+    /// True where all stages are selected and none is forced.
     pub fn is_all(&self) -> bool {
         *self == Self::default()
     }
 
-    /// The part of `graph` that is meant.
+    /// The selected part of `graph`.
     ///
     /// # Errors
-    /// A pattern means no stage, or nothing is left.
+    /// A pattern matches no stage, or no stage is selected.
     pub fn of(&self, graph: Graph) -> Result<Selected, NoStage> {
         let count = graph.stages.node_count();
         let mut goals = vec![self.targets.is_empty(); count];
@@ -72,8 +72,8 @@ impl Selection {
         }
         if !goals.contains(&true) {
             return Err(NoStage {
-                message: "none of the stages that were asked for depends on those after `--from`".to_owned(),
-                hint: "leave one of the two out".to_owned(),
+                message: "none of the target stages is downstream of `--from`".to_owned(),
+                hint: "remove the targets or `--from`".to_owned(),
             });
         }
         let mut kept = goals.clone();
@@ -94,8 +94,8 @@ impl Selection {
         let must_be_cached = set(&|stage| self.only && !goals[stage]);
         if forced.is_empty() && !self.force.is_empty() {
             return Err(NoStage {
-                message: "the stages after `--force` are none of those that were asked for".to_owned(),
-                hint: "name them as targets too, or leave the targets out".to_owned(),
+                message: "the stages of `--force` are not selected".to_owned(),
+                hint: "add them to the targets, or run all stages".to_owned(),
             });
         }
         Ok(match part {
@@ -105,7 +105,7 @@ impl Selection {
     }
 }
 
-/// Marks the stages that the patterns mean.
+/// Marks the stages that match the patterns.
 fn mark(graph: &Graph, patterns: &[String], marks: &mut [bool]) -> Result<(), NoStage> {
     for text in patterns {
         for stage in Pattern::parse(text)?.stages(graph)? {
@@ -115,7 +115,7 @@ fn mark(graph: &Graph, patterns: &[String], marks: &mut [bool]) -> Result<(), No
     Ok(())
 }
 
-/// Marks all that can be reached from what is marked.
+/// Marks everything that can be reached from marked stages.
 fn spread(graph: &Graph, marks: &mut [bool], direction: Direction) {
     let mut open: Vec<StageIndex> =
         graph.stages.node_indices().filter(|stage| marks[stage.index()]).collect();
@@ -128,7 +128,7 @@ fn spread(graph: &Graph, marks: &mut [bool], direction: Direction) {
     }
 }
 
-/// The graph of the stages that are marked, in their order. Whatever they read must be marked too.
+/// The graph of the marked stages, in order. Everything that they read must be marked, too.
 fn restrict(graph: &Graph, kept: &[bool]) -> (Graph, Vec<Option<StageIndex>>) {
     let mut places = vec![None; kept.len()];
     let mut stages: DiGraph<StageInstance, (), u32> = DiGraph::new();
@@ -137,7 +137,7 @@ fn restrict(graph: &Graph, kept: &[bool]) -> (Graph, Vec<Option<StageIndex>>) {
     }
     for stage in stages.node_weights_mut() {
         for source in stage.inputs.iter_mut().flat_map(|wire| &mut wire.sources) {
-            if let From::Stage { stage, .. } = &mut source.from
+            if let Origin::Stage { stage, .. } = &mut source.from
                 && let Some(place) = places[stage.index()]
             {
                 *stage = place;

@@ -2,14 +2,14 @@
 
 use std::ops::Range;
 
-/// A text taken apart.
+/// A parsed text.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Template<'t> {
     /// No `$` in it.
     Plain,
-    /// Nothing but a path: stands for the value itself, whatever its type.
+    /// Only a path: the value itself, of any type.
     Exact(Path<'t>),
-    /// Text with values put in.
+    /// Text with values in it.
     Mixed(Vec<Piece<'t>>),
 }
 
@@ -29,16 +29,16 @@ pub(super) struct Path<'t> {
     pub range: Range<usize>,
 }
 
-/// What to do with a `$` that begins neither `$$` nor `${`, inside a longer text.
+/// How to treat a `$` inside a longer text that starts neither `$$` nor `${`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Lone {
-    /// A mistake: `$name` in the middle of a text would silently stay as it is.
+    /// An error: otherwise `$name` in the middle of a text would silently stay as it is.
     Refuse,
-    /// Part of the text: wiring gives it a meaning of its own.
+    /// Part of the text: input references have their own meaning for it.
     Keep,
 }
 
-/// A `$` that means nothing.
+/// An invalid `$`.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct BadTemplate {
     pub range: Range<usize>,
@@ -46,7 +46,7 @@ pub(super) struct BadTemplate {
     pub hint: String,
 }
 
-/// Takes a text apart.
+/// Parses a text.
 pub(super) fn parse(text: &str, lone: Lone) -> Result<Template<'_>, BadTemplate> {
     if !text.contains('$') {
         return Ok(Template::Plain);
@@ -67,7 +67,7 @@ fn pieces(text: &str, lone: Lone) -> Result<Vec<Piece<'_>>, BadTemplate> {
     while let Some(dollar) = text[at..].find('$').map(|found| at + found) {
         let rest = &text[dollar + 1..];
         let end = if rest.starts_with('$') {
-            // The text up to and with one dollar; the second is passed over.
+            // The text up to and including one dollar; the second is skipped.
             pieces.push(Piece::Text(&text[begin..=dollar]));
             dollar + 2
         } else if rest.starts_with('{') {
@@ -108,7 +108,8 @@ fn braced(text: &str, dollar: usize) -> Result<Path<'_>, BadTemplate> {
             "found `${{{}}}`, expected the name of an axis or a param in the braces",
             crate::spec::node::shorten(path)
         ),
-        hint: "a path is made of names and dots, as in `${expert.policy}`; there is no arithmetic".to_owned(),
+        hint: "a path consists of names and dots, as in `${expert.policy}`; there is no arithmetic"
+            .to_owned(),
     })
 }
 
@@ -118,9 +119,9 @@ fn lone_dollar(text: &str, dollar: usize) -> BadTemplate {
     let name = rest[..length].trim_end_matches(['.', '-', '_']);
     BadTemplate {
         range: dollar..dollar + 1 + name.len(),
-        message: "found a `$` that stands for nothing".to_owned(),
+        message: "found a `$` without a meaning".to_owned(),
         hint: if is_path(name) {
-            format!("inside a longer text a value is written `${{{name}}}`; for a dollar write `$$`")
+            format!("inside a longer text, write a value as `${{{name}}}` and a dollar as `$$`")
         } else {
             "write `${name}` for a value, or `$$` for a dollar".to_owned()
         },

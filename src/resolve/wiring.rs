@@ -1,4 +1,4 @@
-//! Connecting the inputs of stage instances to outputs and files, with every type and number checked.
+//! Connects the inputs of stage instances to outputs and files, and checks types and numbers.
 
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
@@ -7,7 +7,7 @@ use dril_stage_api::{Arity, Artifact, Input, Labels, Outside};
 
 use super::context::ResolveContext;
 use super::expand::{Expanded, Instance};
-use super::graph::{From, Source, StageIndex, Wire};
+use super::graph::{Origin, Source, StageIndex, Wire};
 use super::items::{Item, Unpacker, What};
 use super::reference::{self, Reference};
 use super::scope::{Filler, Scope};
@@ -18,10 +18,10 @@ use crate::spec::problem::Problem;
 use crate::spec::source::Span;
 use crate::spec::suggest;
 
-/// More connections than this are refused: each takes memory, and a fan-in of all into all asks for a square of them.
+/// The maximum number of connections: each takes memory, and a fan-in of everything into everything needs a quadratic number.
 const MAX_SOURCES: usize = 1_000_000;
 
-/// The wires of one instance, each with the place of its wiring.
+/// The wires of one instance, each with the place of its reference.
 pub(super) type Wires = Vec<(Wire, Span)>;
 
 /// Connects instances.
@@ -29,7 +29,7 @@ pub(super) struct Wirer<'a, 'p, 'f> {
     context: &'a ResolveContext<'a>,
     stages: &'a [Expanded<'a>],
     by_name: HashMap<&'a str, usize>,
-    /// Where problems go.
+    /// Collects problems.
     pub filler: &'f mut Filler<'p>,
     sources: usize,
 }
@@ -41,14 +41,14 @@ struct Connection<'c> {
     /// Where `inputs` says so.
     at: Span,
     found: Vec<Source>,
-    /// True where something was reported: what is missing then is no news.
+    /// True where a problem was reported: then a missing input is not reported again.
     broken: bool,
-    /// A stage that is meant, but whose matrix has no such instance.
+    /// A referenced stage whose matrix has no such instance.
     left_out: Option<String>,
 }
 
 impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
-    /// For these stages.
+    /// A wirer for these stages.
     pub fn new(
         context: &'a ResolveContext<'a>,
         stages: &'a [Expanded<'a>],
@@ -98,7 +98,7 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
         wires
     }
 
-    /// The wire of a stage whose input is named by its parameters, at `at`.
+    /// The wire of a stage whose parameters name a file from outside, at `at`.
     fn wire_from_outside(
         &mut self,
         stage: &'a Expanded<'a>,
@@ -110,11 +110,11 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
             self.filler.problems.add(|| {
                 let name = crate::spec::node::shorten(&key.text);
                 Problem::new(key.span, format!("stage `{}` has no input `{name}`", stage.name()))
-                    .hint(format!("what it brings in is named by `with: {{ {}: ... }}`", outside.param))
+                    .hint(format!("set the file with `with: {{ {}: ... }}`", outside.param))
             });
         }
         let Some(input) = instance.ports.inputs.first() else { return Wires::new() };
-        let from = From::File {
+        let from = Origin::File {
             path: outside.path.clone(),
             place: self.filler.sources.get(at).place(at),
             folder: input.artifact == Artifact::FOLDER,
@@ -130,7 +130,7 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
         vec![(Wire { port: input.name, many: false, sources }, at)]
     }
 
-    /// For an instance that is broken itself: whether the stages that it names exist.
+    /// For an invalid instance: only checks that the stages that it references exist.
     pub fn look_over(&mut self, stage: &'a Expanded<'a>) {
         let mut open: Vec<&Node> = stage.inputs.iter().map(|(_, node)| *node).collect();
         while let Some(node) = open.pop() {
@@ -153,7 +153,7 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
         }
     }
 
-    /// The wirings by the input that they are for; a misspelt name is reported and taken for the one that was meant.
+    /// The references by input; a misspelt input name is reported and treated as the nearest one.
     fn by_port(
         &mut self,
         stage: &Expanded<'a>,
@@ -187,14 +187,14 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
             let names: Vec<String> =
                 missing.iter().map(|input| format!("`{}` (type `{}`)", input.name, input.artifact)).collect();
             let (word, it) = if missing.len() == 1 { ("input", "it is") } else { ("inputs", "they are") };
-            let message = format!("stage `{}` lacks the {word} {}", stage.name(), names.join(" and "));
+            let message = format!("stage `{}` is missing the {word} {}", stage.name(), names.join(" and "));
             let example = missing.iter().map(|input| match candidate(stages, stage, input) {
                 Some(output) => format!("{}: {output}", input.name),
                 None => format!("{}: ...", input.name),
             });
             let example = example.collect::<Vec<_>>().join(", ");
             Problem::new(stage.stage.name.span, message)
-                .hint(format!("{it} connected by `inputs: {{ {example} }}`"))
+                .hint(format!("{it} connected with `inputs: {{ {example} }}`"))
         });
     }
 
@@ -211,7 +211,7 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
                 What::File(path) => {
                     let place = self.filler.sources.get(item.node.span).place(item.node.span);
                     let labels = name_label(item, connection);
-                    let from = From::File {
+                    let from = Origin::File {
                         path: path.clone(),
                         place,
                         folder: false,
@@ -226,7 +226,7 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
         }
     }
 
-    /// Adds what a reference means.
+    /// Adds the sources of a reference.
     fn stage(&mut self, text: &str, item: &Item, connection: &mut Connection<'_>) {
         let found = self.referenced(text, item, connection);
         match found {
@@ -241,7 +241,7 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
         }
     }
 
-    /// An empty list of problems stands for one that was reported before.
+    /// An empty list of problems means that the problem was reported before.
     fn referenced(
         &mut self,
         text: &str,
@@ -252,7 +252,7 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
         let reference = reference::parse(text).map_err(|bad| {
             let at = self.filler.within(&item.node, text, bad.range);
             let shown = crate::spec::node::shorten(text);
-            let problem = Problem::new(at, format!("`{shown}` is no wiring: {}", bad.message));
+            let problem = Problem::new(at, format!("invalid input reference `{shown}`: {}", bad.message));
             vec![problem.maybe_hint(file_hint(text)).hint(reference::FORM)]
         })?;
         let Some(&at) = self.by_name.get(reference.stage.text) else {
@@ -272,7 +272,7 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
         if self.sources > MAX_SOURCES {
             let message = format!("the stages have more than {MAX_SOURCES} connections");
             return Err(vec![
-                Problem::new(whole, message).hint("address fewer instances, as in `stage[axis=value]`"),
+                Problem::new(whole, message).hint("select fewer instances, as in `stage[axis=value]`"),
             ]);
         }
         let output_at = reference
@@ -290,12 +290,12 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
                 Arity::Many => select::labels(producer, number, named),
                 Arity::One | Arity::Optional => Labels::new(),
             };
-            sources.push(Source { from: From::Stage { stage, output: output.name }, labels });
+            sources.push(Source { from: Origin::Stage { stage, output: output.name }, labels });
         }
         Ok(sources)
     }
 
-    /// Where one artifact of a swept stage is read, the reader is swept too: resolving begins anew with that.
+    /// A stage that reads one artifact of a swept stage is swept, too: resolving starts again with that.
     fn spread(
         &mut self,
         producer: &Expanded<'_>,
@@ -327,7 +327,7 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
         problem.maybe_hint(file_hint(text))
     }
 
-    /// The selectors with the values of their `$name`s.
+    /// The selectors, with the values of their `$name`s.
     fn chosen<'t>(
         &mut self,
         reference: &Reference<'t>,
@@ -358,7 +358,7 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
         Some(all)
     }
 
-    /// The labels that `$path` stands for: one, or those of a list.
+    /// The labels that `$path` refers to: one, or those of a list.
     fn looked_up(
         &mut self,
         path: &Path<'_>,
@@ -375,7 +375,7 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
                 Problem::new(
                     at,
                     format!(
-                        "`${}` is {}, expected a value of the axis or a list of such",
+                        "`${}` is {}, expected a value of the axis or a list of values",
                         path.text,
                         node.describe()
                     ),
@@ -396,15 +396,15 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
         if found.is_empty()
             && let Some(stage) = left_out
         {
-            // What may be left out is left out together with the stage that makes it.
+            // An optional input is absent if the stage that makes it has no such instance.
             if input.arity != Arity::Optional {
                 self.filler.problems.add(|| {
                     let message = format!(
-                        "input `{}` of stage `{}` is wired to stage `{stage}`, whose matrix leaves these instances out",
+                        "input `{}` of stage `{}` refers to instances that the matrix of stage `{stage}` excludes",
                         input.name, consumer.stage
                     );
                     Problem::new(at, message)
-                        .hint("its `when`, `exclude` or `zip` does so; leave the same out here, with `when` or `exclude`")
+                        .hint("see its `when`, `exclude` or `zip`; exclude the same instances here with `when` or `exclude`")
                 });
             }
             return None;
@@ -412,12 +412,12 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
         if !many && found.len() != 1 {
             self.filler.problems.add(|| {
                 let message = format!(
-                    "input `{}` of stage `{}` takes one artifact, but is wired to {}",
+                    "input `{}` of stage `{}` takes one artifact, but is connected to {}",
                     input.name,
                     consumer.stage,
                     found.len()
                 );
-                Problem::new(at, message).hint("address one instance, as in `stage[axis=value]`")
+                Problem::new(at, message).hint("select one instance, as in `stage[axis=value]`")
             });
             return None;
         }
@@ -426,11 +426,11 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
         if twice {
             self.filler.problems.add(|| {
                 let message = format!(
-                    "input `{}` of stage `{}` is wired to the same artifact twice",
+                    "input `{}` of stage `{}` is connected to the same artifact twice",
                     input.name, consumer.stage
                 );
                 Problem::new(at, message)
-                    .hint("remove one of the two, or tell them apart by names: `{ first: a, second: b }`")
+                    .hint("remove one of the two, or give them names: `{ first: a, second: b }`")
             });
             return None;
         }

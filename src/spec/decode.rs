@@ -1,7 +1,7 @@
-//! From trees of nodes, one for each file, to a [`Spec`]: knows every key of the language, and reports each that is unknown or misplaced.
+//! Decodes trees of nodes, one per file, to a [`Spec`]: knows every key of the language, and reports unknown and misplaced keys.
 //!
-//! A misspelt key is reported and then taken for the one that was meant, so that it does not cause a second message
-//! about what is missing.
+//! A misspelt key is reported and then treated as the nearest one, so that it does not cause a second message about a missing
+//! key.
 
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
@@ -33,7 +33,7 @@ pub(super) const STAGE: [&str; 11] = [
     "resources",
 ];
 
-/// A file by itself.
+/// A decoded file.
 pub(super) struct File {
     at: Span,
     name: Option<(Key, Node)>,
@@ -60,7 +60,7 @@ pub(super) fn file(root: Node, is_included: bool, problems: &mut Problems) -> Fi
     File { at, name: top.take("name"), base, stages, profiles: top.take("profiles"), include }
 }
 
-/// Puts files together, an included one before the file that includes it; the last one is the pipeline file.
+/// Merges files, an included one before the file that includes it; the last one is the pipeline file.
 pub(super) fn spec(
     files: Vec<File>,
     name: SourceName,
@@ -99,7 +99,7 @@ pub(super) fn spec(
 fn add_stage(stage: Stage, all: &mut Vec<Stage>, before: &HashMap<Arc<str>, Span>, problems: &mut Problems) {
     match before.get(&stage.name.text) {
         Some(other) => problems.add(|| {
-            Problem::new(stage.name.span, format!("another file has a stage `{}` too", stage.name.text))
+            Problem::new(stage.name.span, format!("another file also has a stage `{}`", stage.name.text))
                 .related(*other, "the other")
                 .hint("rename one of the two; to change the other's parameters, use `defaults`, `params` or a profile")
         }),
@@ -118,8 +118,11 @@ fn included(key: Key, node: Node, problems: &mut Problems) -> Vec<Key> {
                 paths.push(Key { text, span: item.span });
             }
             _ => problems.add(|| {
-                Problem::new(item.span, format!("`include` is {}, expected the path of a file", item.describe()))
-                    .hint("as in `include: experts.yaml`; paths are relative to the folder of the file that says so")
+                Problem::new(
+                    item.span,
+                    format!("`include` is {}, expected the path of a file", item.describe()),
+                )
+                .hint("as in `include: experts.yaml`; paths are relative to the folder of the including file")
             }),
         }
     }
@@ -127,7 +130,7 @@ fn included(key: Key, node: Node, problems: &mut Problems) -> Vec<Key> {
 }
 
 fn pipeline_name(field: Option<(Key, Node)>, at: Span, problems: &mut Problems) -> String {
-    let expected = "expected a name of lower case words, as in `name: lunar-lander`";
+    let expected = "expected lower-case words with `-` between them, as in `name: lunar-lander`";
     let Some((key, node)) = field else {
         problems
             .add(|| Problem::new(at, "the pipeline has no name").hint("add `name: my-pipeline` at the top"));
@@ -138,8 +141,9 @@ fn pipeline_name(field: Option<(Key, Node)>, at: Span, problems: &mut Problems) 
         _ => {
             let at = if node.span.is_empty() { key.span } else { node.span };
             problems.add(|| {
-                Problem::new(at, format!("the pipeline's name is {}, {expected}", node.describe()))
-                    .hint("letters a to z, digits, and `-` between words: results are kept in a folder of that name")
+                Problem::new(at, format!("the pipeline's name is {}, {expected}", node.describe())).hint(
+                    "use letters a to z, digits, and `-` between words: it is the name of the results folder",
+                )
             });
             String::new()
         }
@@ -164,7 +168,7 @@ fn stages(field: Option<(Key, Node)>, at: Span, problems: &mut Problems) -> Vec<
     if let Value::List(_) = &node.value {
         problems.add(|| {
             Problem::new(node.span, "`stages` is a list, expected a map")
-                .hint("each stage stands under its name, without `-`, as in `my-stage: { kind: ... }`")
+                .hint("write each stage under its name, without `-`, as in `my-stage: { kind: ... }`")
         });
         return Vec::new();
     }
@@ -176,7 +180,7 @@ fn stages(field: Option<(Key, Node)>, at: Span, problems: &mut Problems) -> Vec<
     if empty {
         problems.add(|| {
             Problem::new(key.span, "the pipeline has no stages, expected at least one")
-                .hint("`dril-pipe kinds` lists the kinds of stages that there are")
+                .hint("`dril-pipe kinds` lists the stage kinds")
         });
     }
     entries.into_iter().filter_map(|(name, node)| stage(name, node, problems)).collect()
@@ -185,9 +189,8 @@ fn stages(field: Option<(Key, Node)>, at: Span, problems: &mut Problems) -> Vec<
 fn stage(name: Key, node: Node, problems: &mut Problems) -> Option<Stage> {
     if names::RESERVED_STAGES.contains(&&*name.text) {
         problems.add(|| {
-            Problem::new(name.span, format!("a stage cannot be called `{}`", name.text)).hint(
-                "in a profile and after `--set` that word stands for a part of the file; choose another",
-            )
+            Problem::new(name.span, format!("a stage cannot be called `{}`", name.text))
+                .hint("this word has a special meaning in profiles and `--set`; use another name")
         });
         return None;
     }
@@ -269,7 +272,7 @@ fn merged_profiles(
     profiles
 }
 
-/// A name that is both an axis and a param would mean one thing in one stage and another in the next.
+/// A name that is both an axis and a param would be ambiguous.
 fn clashes(base: &Layer, stages: &[Stage], problems: &mut Problems) {
     let inline = stages.iter().flat_map(|stage| &stage.matrix).filter(|axis| axis.values.is_some());
     let axes = base.axes.iter().map(|(key, _)| key).chain(inline.map(|axis| &axis.name));
@@ -280,7 +283,7 @@ fn clashes(base: &Layer, stages: &[Stage], problems: &mut Problems) {
                 Problem::new(axis.span, format!("`{}` is both an axis and a param", axis.text))
                     .label("axis")
                     .related(*param, "param")
-                    .hint("rename one of the two: `$` must mean one thing only")
+                    .hint("rename one of the two: `$` must be unambiguous")
             });
         }
     }

@@ -1,4 +1,4 @@
-//! What is wrong with a pipeline file, with the place and the source line: made to be read by people.
+//! Problems of a pipeline file for people: message, place, source line and hints.
 
 use std::fmt;
 
@@ -16,7 +16,7 @@ pub struct Diagnostic {
     /// Where: first the place to look at, then others that belong to it. Empty only where there is no text to point
     /// into, as for a folder.
     pub places: Vec<Place>,
-    /// How to mend it.
+    /// How to fix it.
     pub hints: Vec<String>,
 }
 
@@ -76,7 +76,7 @@ impl Place {
     }
 }
 
-/// A text on one line that does nothing to the terminal, whatever a file or a stage kind put into it.
+/// Makes a text from a file or a stage kind safe for the terminal, on one line.
 pub(super) fn plain(text: &str) -> String {
     text.chars().map(printable).collect()
 }
@@ -132,7 +132,7 @@ impl Diagnostics {
                 "give the path of a file in it, as in `dril-pipe run pipelines/thesis.yaml`",
             ),
             ErrorKind::PermissionDenied => {
-                (format!("`{name}` must not be read: {error}"), "give yourself the right to read it")
+                (format!("no permission to read `{name}`: {error}"), "change its permissions")
             }
             ErrorKind::InvalidData => (
                 format!("`{name}` is not valid UTF-8, expected a text file"),
@@ -169,7 +169,7 @@ impl fmt::Display for Diagnostics {
             write!(f, "{problem}")?;
         }
         if self.more > 0 {
-            writeln!(f, "\nerror: and up to {} more; mend these first", self.more)?;
+            writeln!(f, "\nerror: up to {} more problems; fix these first", self.more)?;
         }
         Ok(())
     }
@@ -222,7 +222,7 @@ error: stage `clone` has no input `demo`
     }
 
     #[test]
-    fn a_folder_and_a_missing_file_are_told_apart() {
+    fn a_folder_and_a_missing_file_have_different_messages() {
         let name = SourceName("pipelines".into());
         let text = |kind: std::io::ErrorKind| Diagnostics::unreadable(&name, &kind.into()).to_string();
         assert!(text(std::io::ErrorKind::IsADirectory).contains("`pipelines` is a folder"));

@@ -52,7 +52,7 @@ pub(super) fn entries(node: Node, what: &str, problems: &mut Problems) -> Vec<(K
         _ => {
             problems.add(|| {
                 Problem::new(node.span, format!("{what} is {}, expected a map", node.describe()))
-                    .hint("a map is written as `{ name: value }`, or with one `name: value` a line")
+                    .hint("write a map as `{ name: value }`, or with one `name: value` per line")
             });
             Vec::new()
         }
@@ -65,9 +65,9 @@ pub(super) fn value_name(key: &Key, what: &str, problems: &mut Problems) -> bool
         problems.add(|| {
             Problem::new(
                 key.span,
-                format!("the name `{}` is taken, expected another for this {what}", key.text),
+                format!("the name `{}` is reserved, expected another one for this {what}", key.text),
             )
-            .hint("`$profile` and `$pipeline` are there in every pipeline, and `name` labels a named fan-in")
+            .hint("every pipeline has `$profile` and `$pipeline`, and `name` labels a named fan-in")
         });
         return false;
     }

@@ -1,5 +1,5 @@
-//! A pipeline file and the files that it includes, read one after another. Which file is where is told by paths alone:
-//! what reads them is handed in.
+//! Reads a pipeline file and the files that it includes. Files are identified by their paths; the function that reads them is
+//! passed in.
 
 use std::sync::Arc;
 
@@ -13,9 +13,9 @@ use super::source::{Source, Sources, Span};
 use super::yaml;
 use super::{Diagnostics, Load, MAX_BYTES, SourceName, not_a_map};
 
-/// More files than this are a slip.
+/// The maximum number of files.
 const MAX_FILES: usize = 1_000;
-/// Files that include each other deeper than this are a slip, too.
+/// The maximum depth of includes.
 const MAX_CHAIN: usize = 100;
 
 /// Reads files.
@@ -75,7 +75,7 @@ impl<'r, 'l> Reader<'r, 'l> {
                     start,
                     format!("the file has {} bytes, expected at most {MAX_BYTES}", text.len()),
                 )
-                .hint("is this a pipeline file? data is brought in by `{ file: path }`")
+                .hint("is this a pipeline file? use `{ file: path }` for data")
             });
             return None;
         }
@@ -113,8 +113,8 @@ impl<'r, 'l> Reader<'r, 'l> {
                 self.open[at..].iter().map(String::as_str).chain([path.as_str()]).collect();
             let circle = circle.join(" -> ");
             return self.problems.add(|| {
-                Problem::new(wanted.span, format!("files include each other in a circle: `{circle}`"))
-                    .hint("take one of these includes away; what both need belongs into a third file")
+                Problem::new(wanted.span, format!("files include each other in a cycle: `{circle}`"))
+                    .hint("remove one of these includes; move what both need to a third file")
             });
         }
         if self.begun.contains(&path) {
@@ -126,7 +126,7 @@ impl<'r, 'l> Reader<'r, 'l> {
                     wanted.span,
                     format!("more than {MAX_FILES} files are included, or {MAX_CHAIN} one by another"),
                 )
-                .hint("does a link lead a file to itself under ever new names?")
+                .hint("does a link make a file include itself under new names?")
             });
         }
         match (self.load)(&path) {
@@ -141,7 +141,7 @@ impl<'r, 'l> Reader<'r, 'l> {
                 self.problems.add(|| {
                     let shown = shorten(&wanted.text);
                     Problem::new(wanted.span, format!("cannot read the file `{shown}`: {error}"))
-                        .hint("paths are relative to the folder of the file that includes")
+                        .hint("paths are relative to the folder of the including file")
                 });
             }
         }

@@ -1,4 +1,4 @@
-//! What a profile or a `--set` argument lays over the file: both address the same parts by the same names.
+//! Overrides: what a profile or `--set` changes in the file. Both use the same names.
 
 use std::collections::HashMap;
 
@@ -76,7 +76,7 @@ fn is_param(key: &Key, known: &Known<'_>, problems: &mut Problems) -> bool {
                 .hint(suggest::hint(&key.text, "the params", sorted(&known.params)))
                 .maybe_related(
                     known.axes.get(&*key.text).copied(),
-                    "an axis of that name stands under `axes`",
+                    "there is an axis of that name under `axes`",
                 )
         });
     }
@@ -91,7 +91,7 @@ fn is_axis(key: &Key, known: &Known<'_>, problems: &mut Problems) -> bool {
                 .hint(suggest::hint(&key.text, "the axes", sorted(&known.axes)))
                 .maybe_related(
                     known.inline.get(&*key.text).copied(),
-                    "a matrix keeps these values to itself; move them to `axes`",
+                    "these values belong to a matrix; move them to `axes`",
                 )
         });
     }
@@ -103,19 +103,17 @@ fn unknown_part(key: &Key, known: &Known<'_>) -> Problem {
     let problem = Problem::new(
         key.span,
         format!(
-            "`{name}` is no stage, expected a stage's name or one of `seed`, `params`, `axes`, `defaults`"
+            "there is no stage `{name}`, expected a stage or one of `seed`, `params`, `axes`, `defaults`"
         ),
     );
     if let Some(at) = known.params.get(&*key.text) {
-        return problem.related(*at, "a param").hint(format!("a param is addressed as `params.{name}`"));
+        return problem.related(*at, "a param").hint(format!("write `params.{name}` for a param"));
     }
     if let Some(at) = known.axes.get(&*key.text) {
-        return problem.related(*at, "an axis").hint(format!("an axis is addressed as `axes.{name}`"));
+        return problem.related(*at, "an axis").hint(format!("write `axes.{name}` for an axis"));
     }
     if matches!(&*key.text, "name" | "stages" | "profiles") {
-        return problem.hint(
-            "overrides address the fields of a stage's `with` directly, as in `my-stage.total_timesteps`",
-        );
+        return problem.hint("write the field of a stage without `with`, as in `my-stage.total_timesteps`");
     }
     let stages = sorted(&known.stages);
     match suggest::nearest(&key.text, stages.iter().copied().chain(PARTS)) {

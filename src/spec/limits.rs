@@ -1,5 +1,4 @@
-//! How long a stage may take, how much memory, and how often it is tried: what it takes of the machine and of patience,
-//! and never part of a key.
+//! Timeout, memory limit, retries and resources of a stage; never part of a key.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -8,28 +7,28 @@ use std::time::Duration;
 use super::node::{Key, Node, Value};
 use super::problem::{Problem, Problems};
 
-/// More tries than this are a slip.
+/// The maximum number of retries.
 const MOST_RETRIES: u64 = 1000;
-/// The pause before the first new try, unless it is given.
+/// The default pause before the first retry.
 const PAUSE: Duration = Duration::from_secs(1);
 
 /// The limits of a stage.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
-    /// How often it is tried again after a failure.
+    /// The number of retries after a failure.
     pub retries: u32,
-    /// The pause before the first new try; each further one is twice as long, up to an hour.
+    /// The pause before the first retry; it doubles with each retry, up to an hour.
     pub pause: Duration,
-    /// How long one try may take.
+    /// The time limit of one try.
     pub timeout: Option<Duration>,
-    /// How many bytes of memory it may keep, with all that it started.
+    /// The memory limit in bytes, for the stage and all processes that it starts.
     pub memory: Option<u64>,
 }
 
-/// What a stage holds while it runs, of what there is a number of: `gpu: 1`, `licence: 2`. Shared, since most hold nothing.
+/// The units of counted resources that a stage holds while it runs: `gpu: 1`, `licence: 2`. Shared, since most stages hold none.
 pub type Resources = Arc<BTreeMap<String, u32>>;
 
-/// More of one resource is a slip.
+/// The maximum number of units of one resource.
 const MOST_OF_ONE: u64 = 10_000;
 
 impl Default for Limits {
@@ -39,7 +38,7 @@ impl Default for Limits {
 }
 
 impl Limits {
-    /// The pause before the `retry`th new try, from 1.
+    /// The pause before a retry, numbered from 1.
     pub fn pause_before(&self, retry: u32) -> Duration {
         let longer =
             self.pause.saturating_mul(1_u32.checked_shl(retry.saturating_sub(1)).unwrap_or(u32::MAX));
@@ -92,9 +91,9 @@ pub(super) fn resources(field: Option<(Key, Node)>, problems: &mut Problems) -> 
             }
             Some(_) => problems.add(|| {
                 let text = format!("`{}` cannot be the name of a resource", super::node::shorten(&name.text));
-                Problem::new(name.span, text).hint("a letter, then letters, digits, `-` or `_`")
+                Problem::new(name.span, text).hint("use a letter, then letters, digits, `-` or `_`")
             }),
-            None => wrong(&name, &value, "a whole number, 1 or more", problems),
+            None => wrong(&name, &value, "a whole number of at least 1", problems),
         }
     }
     all.into()
@@ -149,7 +148,7 @@ fn wrong(key: &Key, node: &Node, expected: &str, problems: &mut Problems) {
         problems.add(|| {
             let span = if node.span.is_empty() { key.span } else { node.span };
             let text = format!("`{}` is {}, expected {expected}", key.text, node.describe());
-            Problem::new(span, text).hint("it stands in no key, so it cannot be a `$name`: write the value")
+            Problem::new(span, text).hint("this field does not support `$name`: write the value")
         });
     }
 }

@@ -43,7 +43,7 @@ impl Reader<'_> {
                     item.span,
                     format!("found {} in a matrix, expected the name of an axis", item.describe()),
                 )
-                .hint("values of this stage only are written as `matrix: { k: [1, 2] }`")
+                .hint("for values of this stage only, write `matrix: { k: [1, 2] }`")
             }),
         }
     }

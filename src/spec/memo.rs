@@ -1,8 +1,8 @@
-//! What the stages of a pipeline file were read as before, by their text: after an edit only the text that it touched is
-//! read anew. Nothing rests on it: what is damaged or unknown is read from the text.
+//! The memo of a pipeline file: the parsed stages by the digest of their text, so that only the changed ones are parsed after an
+//! edit. Correctness does not depend on it: what is damaged or unknown is parsed from the text.
 //!
-//! The bytes hold: the digest of what follows; then for each stage the digest of its text, the length of its value, and
-//! the value with every place counted from the start of the text. Numbers are in little-endian.
+//! Format: the digest of what follows; then for each stage the digest of its text, the length of its value, and the value with
+//! every place relative to the start of the text. Numbers are little-endian.
 
 use std::collections::HashMap;
 use std::ops::Range;
@@ -12,18 +12,18 @@ use super::node::{Key, MAX_DEPTH, Node, Value};
 use super::scalar;
 use super::source::Span;
 
-/// What was read before, and what is read now.
+/// The known stages, and those of this reading.
 #[derive(Clone, Debug, Default)]
 pub struct Memo {
     bytes: Vec<u8>,
     pub(super) known: HashMap<[u8; 32], Range<usize>>,
-    /// What this reading used, in the bytes that [`Memo::bytes`] gives.
+    /// The stages of this reading, in the format of [`Memo::bytes`].
     used: Vec<u8>,
-    /// True where that is not what was known before.
+    /// True where they differ from the known ones.
     news: bool,
 }
 
-/// Where a text stands.
+/// The position of a text.
 #[derive(Clone, Copy)]
 pub(super) struct At {
     /// The number of its source.
@@ -33,19 +33,19 @@ pub(super) struct At {
 }
 
 impl Memo {
-    /// From the bytes of [`Memo::bytes`]; an empty one from anything else.
+    /// Reads the bytes of [`Memo::bytes`]; an empty memo from anything else.
     pub fn read(bytes: Vec<u8>) -> Self {
         let known = entries(&bytes).unwrap_or_default();
         Self { bytes, known, ..Self::default() }
     }
 
-    /// What the next reading should know, where that is not what this one knew.
+    /// The memo for the next reading, if it changed.
     pub fn bytes(&self) -> Option<Vec<u8>> {
         let whole = || [blake3::hash(&self.used).as_bytes(), &*self.used].concat();
         self.news.then(whole)
     }
 
-    /// What the text of that digest was read as.
+    /// The parsed value of the text with this digest.
     pub(super) fn get(&mut self, text: &[u8; 32], at: At) -> Option<(Key, Node)> {
         let range = self.known.get(text)?.clone();
         let mut reader = Reader { rest: self.bytes.get(range.clone())?, at };
@@ -57,7 +57,7 @@ impl Memo {
         Some(entry)
     }
 
-    /// Keeps what a text was read as.
+    /// Adds the parsed value of a text.
     pub(super) fn keep(&mut self, text: &[u8; 32], at: At, (key, node): &(Key, Node)) {
         let mut writer = Writer { out: Vec::new(), at };
         if writer.key(key).and_then(|()| writer.node(node)).is_some() {
@@ -66,7 +66,7 @@ impl Memo {
         self.news = true;
     }
 
-    /// Forgets what was used after that: the file was read as a whole in the end.
+    /// Drops what was used after that: the file was parsed as a whole in the end.
     pub(super) fn forget(&mut self, used: usize) {
         self.used.truncate(used);
         self.news &= used > 0;
@@ -102,7 +102,7 @@ fn entries(bytes: &[u8]) -> Option<HashMap<[u8; 32], Range<usize>>> {
     Some(known)
 }
 
-/// Seven bits a byte, the lowest first.
+/// Seven bits per byte, lowest first.
 fn number(out: &mut Vec<u8>, mut number: usize) {
     while number >= 0x80 {
         out.push((number & 0x7f) as u8 | 0x80);
@@ -111,7 +111,7 @@ fn number(out: &mut Vec<u8>, mut number: usize) {
     out.push(number as u8);
 }
 
-/// What stands before a value; [`REPLACE`] is added for one that is tagged so.
+/// Type tags of values; [`REPLACE`] is added for a value with that tag.
 const NULL: u8 = 0;
 const FALSE: u8 = 1;
 const TRUE: u8 = 2;
@@ -127,7 +127,7 @@ struct Writer {
 }
 
 impl Writer {
-    /// `None` for what cannot be kept, here and below.
+    /// `None` for what cannot be stored, here and below.
     fn span(&mut self, span: Span) -> Option<()> {
         let start = (span.start as usize).checked_sub(self.at.start)?;
         let length = (span.end as usize).checked_sub(span.start as usize)?;

@@ -1,11 +1,10 @@
-//! From YAML text to a [`Spec`]: what the pipeline file says, and where each of its values stands. Pure: no I/O.
+//! Parses YAML text to a [`Spec`]: the contents of the pipeline file, each value with its place. Pure: no I/O.
 //!
-//! [`parse`] fails only where there is no tree of values to go on with. Mistakes in it are kept in the [`Spec`] and
-//! reported by [`crate::resolve::resolve`] together with what that finds, so that a user sees all of them at once.
+//! [`parse`] fails only if there is no tree of values. Other problems are kept in the [`Spec`] and reported by
+//! [`crate::resolve::resolve`] together with its own, so that a user sees all of them at once.
 //!
-//! `include` goes from a file to those that it includes, `yaml` turns text into `node`s (with `scalar` and `syntax`; large
-//! files by `pieces`, of which a `memo` knows what they were before), `decode`, `matrix` and `layer` turn those into the `model`;
-//! `problem` collects what is wrong, `diagnostic` shows it.
+//! `include` reads included files, `yaml` parses text to `node`s (with `scalar` and `syntax`; large files in `pieces`, with a `memo`
+//! of known ones), `decode`, `matrix` and `layer` decode those to the `model`; `problem` collects problems, `diagnostic` shows them.
 
 mod decode;
 mod diagnostic;
@@ -39,22 +38,22 @@ use node::Value;
 use problem::Problem;
 use source::Span;
 
-/// Larger files are refused: no person wrote them, and positions are kept in 32 bits.
+/// The maximum size of a file: positions are 32 bits.
 const MAX_BYTES: usize = 64 << 20;
 
-/// The pipeline file's name as messages show it: `pipelines/thesis.yaml`.
+/// The pipeline file's name in messages: `pipelines/thesis.yaml`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SourceName(pub String);
 
-/// Reads a pipeline file that includes no other.
+/// Parses a pipeline file without includes.
 ///
 /// # Errors
-/// The text is no YAML, or no map. Other mistakes are reported by [`crate::resolve::resolve`].
+/// The text is not YAML, or not a map. Other problems are reported by [`crate::resolve::resolve`].
 pub fn parse(text: &str, name: &SourceName) -> Result<Spec, Diagnostics> {
     parse_bytes(text.as_bytes(), name)
 }
 
-/// Reads a pipeline file from its bytes, one that includes no other.
+/// Parses the bytes of a pipeline file without includes.
 ///
 /// # Errors
 /// As [`parse`]; also bytes that are not UTF-8.
@@ -62,8 +61,7 @@ pub fn parse_bytes(bytes: &[u8], name: &SourceName) -> Result<Spec, Diagnostics>
     parse_with(bytes, name, &mut |_| Err(std::io::Error::other("files cannot be read here")))
 }
 
-/// Reads a pipeline file from its bytes. `load` reads a file that it includes, by its path relative to the folder of the
-/// pipeline file.
+/// Parses the bytes of a pipeline file. `load` reads an included file, by its path relative to the folder of the pipeline file.
 ///
 /// # Errors
 /// As [`parse_bytes`].
@@ -71,7 +69,7 @@ pub fn parse_with(bytes: &[u8], name: &SourceName, load: &mut Load<'_>) -> Resul
     include::Reader::new(name, load, None).read(bytes)
 }
 
-/// As [`parse_with`], the same result in less time where `memo` knows the stages, which it is told of otherwise.
+/// As [`parse_with`], with the same result in less time if `memo` has the stages; new stages are added to it.
 ///
 /// # Errors
 /// As [`parse_bytes`].

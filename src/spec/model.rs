@@ -1,4 +1,4 @@
-//! What a pipeline file says, part by part, each with its place. Nothing is filled in, merged or looked up yet.
+//! The contents of a pipeline file, each with its place. Nothing is filled in, merged or looked up yet.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -9,19 +9,18 @@ use super::node::{Key, Node};
 use super::problem::Problems;
 use super::source::Source;
 
-/// A pipeline file that was read.
+/// A parsed pipeline file.
 ///
-/// It may still hold mistakes: those that reading found, such as a misspelt key, wait for [`crate::resolve::resolve`],
-/// which reports them together with its own.
+/// It may contain problems, such as a misspelt key; [`crate::resolve::resolve`] reports them together with its own.
 #[derive(Clone, Debug)]
 pub struct Spec {
     pub(crate) name: SourceName,
-    /// The file, and those that it includes.
+    /// The file and its included files.
     pub(crate) sources: Vec<Arc<Source>>,
     pub(crate) problems: Problems,
     /// The pipeline's name; empty where it is missing.
     pub(crate) pipeline: String,
-    /// Every param and axis by its name, with its first value: what there is.
+    /// Every param and axis by name, with its first value.
     pub(crate) base: Layer,
     /// Seed, params, axes and defaults of each file, those of an included file before those of the file that includes it.
     /// The stages' own `with` stand in `stages`.
@@ -31,7 +30,7 @@ pub struct Spec {
 }
 
 impl Spec {
-    /// The file that it was read from, as messages show it.
+    /// The name of the file in messages.
     pub fn source_name(&self) -> &SourceName {
         &self.name
     }
@@ -41,7 +40,7 @@ impl Spec {
         &self.pipeline
     }
 
-    /// The profiles, in the order of the file; the first is the one that holds without a choice.
+    /// The profiles, in the order of the file; the first one is the default.
     pub fn profiles(&self) -> impl Iterator<Item = &str> {
         self.profiles.iter().map(|profile| &*profile.name.text)
     }
@@ -60,7 +59,7 @@ pub(crate) struct Entries {
 }
 
 impl Entries {
-    /// Of a map's entries, whose keys are distinct.
+    /// From the entries of a map, whose keys are distinct.
     pub fn new(list: Vec<(Key, Node)>) -> Self {
         let index = list.iter().enumerate().map(|(at, (key, _))| (key.text.clone(), at)).collect();
         Self { list, index }
@@ -81,7 +80,7 @@ impl Entries {
 #[derive(Clone, Debug)]
 pub(crate) struct Stage {
     pub name: Key,
-    /// `None` where it is missing or no text, which is reported.
+    /// `None` where it is missing or not a text, which is reported.
     pub kind: Option<Key>,
     pub matrix: Vec<MatrixAxis>,
     pub rules: Rules,
@@ -98,11 +97,11 @@ pub(crate) struct MatrixAxis {
     pub name: Key,
     /// Values given here; `None` takes those under `axes`.
     pub values: Option<Node>,
-    /// The number of the `zip` that it stands in.
+    /// The number of its `zip`.
     pub group: Option<usize>,
 }
 
-/// What adds to the product of a matrix, and what takes away from it.
+/// The rules that add to or remove from the product of a matrix.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Rules {
     pub include: Option<Node>,
@@ -110,7 +109,7 @@ pub(crate) struct Rules {
     pub when: Option<Node>,
 }
 
-/// What all stages of a kind share.
+/// The shared values of all stages of a kind.
 #[derive(Clone, Debug)]
 pub(crate) struct Defaults {
     pub kind: Key,
@@ -118,14 +117,14 @@ pub(crate) struct Defaults {
     pub inputs: Vec<(Key, Node)>,
 }
 
-/// Values that may be given more than once: by the file, then by a profile, then by each `--set`. Later ones win.
+/// Values that can be overridden: by the file, then by a profile, then by each `--set`. Later ones win.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Layer {
     pub seed: Option<Node>,
     pub params: Entries,
     pub axes: Entries,
     pub defaults: Vec<Defaults>,
-    /// Stage -> what goes over its `with`.
+    /// Stage -> overrides of its `with`.
     pub stages: Entries,
 }
 

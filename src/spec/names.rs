@@ -1,10 +1,10 @@
-//! Which names stages, axes, params, profiles and axis values may have.
+//! Valid names of stages, axes, params, profiles and axis values.
 
-/// Words that address something else in a profile or after `--set`, so that no stage may take them.
+/// Words with a special meaning in profiles and `--set`, which stages cannot have as names.
 pub(crate) const RESERVED_STAGES: [&str; 8] =
     ["params", "axes", "defaults", "seed", "name", "profile", "profiles", "stages"];
 
-/// Names that `$` offers in every pipeline, and the label of a named fan-in.
+/// Names that `$` has in every pipeline, and the label of a named fan-in.
 pub(crate) const RESERVED_VALUES: [&str; 3] = ["profile", "pipeline", "name"];
 
 /// A letter, then letters, digits, `-` and `_`.
@@ -14,7 +14,7 @@ pub(crate) fn is_identifier(name: &str) -> bool {
         && name.len() <= 100
 }
 
-/// Lower case words with `-` between them: also the name of a folder on every system.
+/// Lower-case words with `-` between them: a valid folder name on every system.
 pub(crate) fn is_kebab(name: &str) -> bool {
     name.len() <= 100
         && name.split('-').all(|word| {
@@ -22,7 +22,7 @@ pub(crate) fn is_kebab(name: &str) -> bool {
         })
 }
 
-/// What a value on an axis must not contain: `stage[axis=a|b]` gives these characters a meaning.
+/// Characters that a value on an axis must not contain, because they have a meaning in `stage[axis=a|b]`.
 pub(crate) const NOT_IN_LABELS: &str = "[],=|*$";
 
 /// True where the text can name a value on an axis.

@@ -1,5 +1,5 @@
-//! A YAML value that knows where it stands. Overrides, defaults and references are put together from such values, so
-//! that whatever turns out wrong later still points at the line it came from.
+//! YAML values with their places. Overrides, defaults and references are merged from such values, so that problems that are found
+//! later still point to the right line.
 
 use std::sync::Arc;
 
@@ -7,10 +7,10 @@ use serde_json::Number;
 
 use super::source::Span;
 
-/// The text of a key that could not be read, which was reported; its value is [`Value::Broken`].
+/// The text of an invalid key, which was reported; its value is [`Value::Broken`].
 pub(crate) const UNUSABLE: &str = "<<";
 
-/// How deep lists and maps may go. Every walk over a [`Node`] may then recurse.
+/// The maximum depth of lists and maps, so that every function on a [`Node`] may recurse.
 pub(crate) const MAX_DEPTH: usize = 64;
 
 /// A value with its place.
@@ -18,11 +18,11 @@ pub(crate) const MAX_DEPTH: usize = 64;
 pub(crate) struct Node {
     /// What it is.
     pub value: Value,
-    /// Where it stands: where to mend it.
+    /// Its place: where to fix it.
     pub span: Span,
-    /// Where it was brought in from elsewhere, by `$name` or by a YAML alias.
+    /// The place of the `$name` or YAML alias that refers to it.
     pub via: Option<Span>,
-    /// Tagged `!replace`: takes the place of what it overrides instead of being merged into it.
+    /// Tagged `!replace`: replaces what it overrides instead of being merged into it.
     pub replace: bool,
 }
 
@@ -33,15 +33,15 @@ pub(crate) enum Value {
     Null,
     /// `true` or `false`.
     Bool(bool),
-    /// A finite number, with the text it was written as: the name of the value on an axis.
+    /// A finite number, with its text as written, which is the name of the value on an axis.
     Number(Number, Arc<str>),
-    /// A text; `$` is not looked at yet.
+    /// A text; `$` is not evaluated yet.
     Text(Arc<str>),
     /// A list.
     List(Vec<Node>),
     /// A map, in the order of the file, without duplicate keys.
     Map(Vec<(Key, Node)>),
-    /// Something unusable, which was reported: what is made from it is left alone.
+    /// An invalid value, which was reported: nothing that depends on it is reported again.
     Broken,
 }
 
@@ -50,7 +50,7 @@ pub(crate) enum Value {
 pub(crate) struct Key {
     /// The name.
     pub text: Arc<str>,
-    /// Where it stands.
+    /// Its place.
     pub span: Span,
 }
 
@@ -60,7 +60,7 @@ impl Node {
         Self { value, span, via: None, replace: false }
     }
 
-    /// The same, brought in at `via`.
+    /// The same, used at `via`.
     pub fn brought_in(mut self, via: Span) -> Self {
         self.via = Some(via);
         self
@@ -93,8 +93,8 @@ impl Node {
         }
     }
 
-    /// The text of a scalar as it goes into another text: as it was written, but for whole numbers in the notations that
-    /// only YAML has (`0x1f`, `0o17`), which are given in decimal. `None` as with [`Node::scalar_text`].
+    /// The text of a scalar for use in another text: as written, except that YAML-specific notations of whole numbers (`0x1f`,
+    /// `0o17`) are converted to decimal. `None` as with [`Node::scalar_text`].
     pub fn written(&self) -> Option<Arc<str>> {
         match &self.value {
             Value::Number(number, text) if text.starts_with("0x") || text.starts_with("0o") => {

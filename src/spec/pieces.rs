@@ -1,9 +1,8 @@
-//! Reading a file stage by stage, so that what was read before need not be read again.
+//! Parses a file stage by stage, so that known stages need not be parsed again.
 //!
-//! A stage that begins a line of its own under `stages:` is cut out and read with what stands before and after it put
-//! down to a word, so that the parser is in the same state as in the whole file. Wherever the file is not of the plain
-//! form that allows this, or anything is wrong with it, it is read as a whole: this module finds no mistakes and tells
-//! none.
+//! A stage that starts on its own line under `stages:` is cut out and parsed with placeholders for the text before and after it, so
+//! that the parser is in the same state as in the whole file. A file that does not have this plain form, or that contains an error,
+//! is parsed as a whole: this module reports no problems.
 
 use std::collections::HashSet;
 use std::ops::Range;
@@ -13,12 +12,12 @@ use super::node::{Key, MAX_DEPTH, Node, Value};
 use super::problem::Problems;
 use super::yaml;
 
-/// What stands for the file before a stage, for a stage before another, and for a key behind. No stage has such a name.
+/// Placeholders for the file before a stage, for a stage before another, and for a key after it. No stage has such a name.
 const STAGES: &str = "stages:\n";
 const BEFORE: &str = "_: 0\n";
 const BEHIND: &str = "__:\n";
 
-/// Reads `text`, which is source number `source`; `None` where it has to be read as a whole.
+/// Parses `text`, which is source number `source`; `None` where it has to be parsed as a whole.
 pub(super) fn read(text: &str, source: u16, memo: &mut Memo) -> Option<Node> {
     let used = memo.used();
     let root = Cut::of(text).and_then(|cut| cut.read(text, source, memo));
@@ -28,8 +27,7 @@ pub(super) fn read(text: &str, source: u16, memo: &mut Memo) -> Option<Node> {
     root
 }
 
-/// Whether `text` is the same by pieces, where it can be read so, as it is as a whole, without a memo and with one. For
-/// tests and fuzzers.
+/// True where parsing `text` in pieces, with and without a memo, gives the same as parsing it as a whole. For tests and fuzzers.
 pub fn pieces_agree(text: &str) -> bool {
     let mut problems = Problems::default();
     let whole = format!("{:?}", yaml::read(text, 0, 0, &mut problems));
@@ -45,20 +43,20 @@ pub fn pieces_agree(text: &str) -> bool {
     true
 }
 
-/// Where a file may be cut.
+/// The positions at which a file can be cut.
 struct Cut {
     /// The end of the line `stages:`.
     head: usize,
     /// Where stages begin.
     stages: Vec<usize>,
-    /// How far they are indented.
+    /// Their indentation.
     column: usize,
     /// Where the next key of the file begins, or the end of the text.
     tail: usize,
 }
 
 impl Cut {
-    /// `None` where the file is not of the form that can be cut.
+    /// `None` where the file does not have the required form.
     fn of(text: &str) -> Option<Self> {
         if text.contains('\r') {
             return None;

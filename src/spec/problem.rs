@@ -1,14 +1,14 @@
-//! Collecting what is wrong while reading goes on, so that all of it is reported at once.
+//! Collects problems, so that all of them are reported at once.
 
 use std::collections::HashSet;
 
 use super::diagnostic::{Diagnostic, Diagnostics, Place, plain};
 use super::source::{Sources, Span};
 
-/// After so many the rest is counted only: nobody reads on, and a hostile file must not keep us busy.
+/// The maximum number of problems that are listed; further ones are only counted, so that a hostile file cannot keep us busy.
 const LIMIT: usize = 100;
 
-/// Something wrong, as spans; becomes a [`Diagnostic`] once the sources are at hand.
+/// A problem with spans; it becomes a [`Diagnostic`] together with the sources.
 #[derive(Clone, Debug)]
 pub(crate) struct Problem {
     message: String,
@@ -19,36 +19,36 @@ pub(crate) struct Problem {
 }
 
 impl Problem {
-    /// `message` says what was seen and what was expected at `at`.
+    /// A problem at `at`: `message` says what was seen and what was expected.
     pub fn new(at: Span, message: impl Into<String>) -> Self {
         Self { message: message.into(), at, label: String::new(), related: Vec::new(), hints: Vec::new() }
     }
 
-    /// A few words under the caret.
+    /// Adds a few words beside the caret.
     pub fn label(mut self, label: impl Into<String>) -> Self {
         self.label = label.into();
         self
     }
 
-    /// How to mend it.
+    /// Adds a remedy.
     pub fn hint(mut self, hint: impl Into<String>) -> Self {
         self.hints.push(hint.into());
         self
     }
 
-    /// How to mend it, where that is known.
+    /// Adds a remedy, if there is one.
     pub fn maybe_hint(mut self, hint: Option<String>) -> Self {
         self.hints.extend(hint);
         self
     }
 
-    /// Another place that belongs to it.
+    /// Adds a related place.
     pub fn related(mut self, at: Span, label: impl Into<String>) -> Self {
         self.related.push((at, label.into()));
         self
     }
 
-    /// Another place that belongs to it, where there is one.
+    /// Adds a related place, if there is one.
     pub fn maybe_related(self, at: Option<Span>, label: &str) -> Self {
         match at {
             Some(at) if at != self.at => self.related(at, label),
@@ -57,7 +57,7 @@ impl Problem {
     }
 }
 
-/// What was found so far. The same words about the same place count once, however many stage instances share them.
+/// The problems so far. The same message at the same place counts once, however many stage instances have it.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Problems {
     found: Vec<Problem>,
@@ -67,8 +67,7 @@ pub(crate) struct Problems {
 }
 
 impl Problems {
-    /// Reports a problem. The closure is called only while there is room: finding a misspelt name's nearest relative
-    /// takes time.
+    /// Reports a problem. The closure is called only if the problem will be listed: finding the nearest name takes time.
     pub fn add(&mut self, problem: impl FnOnce() -> Problem) {
         self.reports += 1;
         if self.found.len() >= LIMIT {
@@ -81,22 +80,22 @@ impl Problems {
         }
     }
 
-    /// How often something was reported, repetitions included.
+    /// The number of reports, including repetitions.
     pub fn reports(&self) -> usize {
         self.reports
     }
 
-    /// True where what is still to be found would not be listed.
+    /// True where further problems would not be listed.
     pub fn is_full(&self) -> bool {
         self.found.len() >= LIMIT
     }
 
-    /// True where nothing is wrong so far.
+    /// True where there is no problem so far.
     pub fn is_empty(&self) -> bool {
         self.found.is_empty()
     }
 
-    /// For people: in the order of the file, then of the arguments.
+    /// The diagnostics, in the order of the file, then of the arguments.
     pub fn into_diagnostics(mut self, sources: &Sources) -> Diagnostics {
         self.found.sort_by_key(|problem| problem.at);
         let found = self.found.into_iter().map(|problem| {

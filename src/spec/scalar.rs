@@ -1,7 +1,7 @@
-//! What a plain YAML scalar stands for, by the core schema of YAML 1.2 (section 10.3.2).
+//! The value of a plain YAML scalar, by the core schema of YAML 1.2 (section 10.3.2).
 //!
-//! Two things are stricter. Numbers are finite and keep every digit: `.nan`, `.inf`, `1e999` and integers beyond 64 bits
-//! are errors. And a decimal with leading zeros stays a text, because YAML 1.1 reads it as octal.
+//! Two rules are stricter. Numbers must be finite and exact: `.nan`, `.inf`, `1e999` and integers beyond 64 bits are errors. And a
+//! decimal with leading zeros is a text, because YAML 1.1 reads it as octal.
 
 use serde_json::Number;
 

@@ -1,9 +1,9 @@
-//! The JSON Schema of a pipeline file, for editors: made from the names that the reader of the file knows and from the
-//! parameters of the kinds, so that neither can be forgotten.
+//! The JSON Schema of pipeline files, for editors: generated from the keys of the language and the parameters of the kinds, so that
+//! it is always complete.
 //!
-//! What it refuses is wrong; what it accepts may be wrong still, since names, wiring and ranges need the whole file.
-//! It speaks of values as they are written: `$name` may stand in place of every one, and a field that a kind needs may
-//! come from `defaults` or a profile.
+//! Everything that it rejects is invalid; what it accepts can still be invalid, since names, references and ranges need the whole
+//! file. It describes values as they are written: `$name` is allowed in place of any value, and a required field may come from
+//! `defaults` or a profile.
 
 use dril_stage_api::{Kind, Registry};
 use serde_json::{Map, Value, json};
@@ -44,26 +44,26 @@ fn top_field(name: &str, registry: &Registry) -> Value {
     match name {
         "name" => json!({
             "type": "string", "pattern": "^[a-z0-9]+(-[a-z0-9]+)*$",
-            "description": "lower case words with `-` between them; results go to a folder of that name",
+            "description": "lower-case words with `-` between them; also the name of the results folder",
         }),
         "include" => json!({
             "description": "other files whose stages, axes and params are shared",
             "anyOf": [path(), { "type": "array", "items": path() }],
         }),
-        "seed" => seed("the seed of every stage that names none"),
+        "seed" => seed("the seed of every stage without its own"),
         "params" => about(anything, "shared values, used as `$name`"),
         "axes" => json!({
-            "description": "what the experiment varies", "type": ["object", "null"],
+            "description": "the variables of the experiment, each with a list of values", "type": ["object", "null"],
             "propertyNames": identifier(), "additionalProperties": { "type": ["array", "object", "string"] },
         }),
-        "defaults" => about(defaults(registry), "what all stages of a kind share"),
+        "defaults" => about(defaults(registry), "shared parameters and inputs of all stages of a kind"),
         "stages" => json!({
             "description": "the stages", "type": ["object", "null"],
             "propertyNames": { "allOf": [identifier(), { "not": { "enum": names::RESERVED_STAGES } }] },
             "additionalProperties": { "$ref": format!("{HERE}stage") },
         }),
         "profiles" => json!({
-            "description": "named sets of changes; the first holds when none is chosen",
+            "description": "named sets of overrides; the first one is the default",
             "type": ["object", "null"], "propertyNames": identifier(),
             "additionalProperties": {
                 "type": ["object", "null"],
@@ -110,36 +110,36 @@ fn stage_field(name: &str, registry: &Registry) -> Value {
         "kind" => {
             let kinds =
                 registry.iter().map(|kind| json!({ "const": kind.name(), "description": kind.about() }));
-            json!({ "description": "what it does", "oneOf": kinds.collect::<Vec<_>>() })
+            json!({ "description": "the stage kind", "oneOf": kinds.collect::<Vec<_>>() })
         }
-        "about" => json!({ "type": "string", "description": "for readers; means nothing" }),
+        "about" => json!({ "type": "string", "description": "a description for readers; ignored" }),
         "matrix" => json!({
             "type": ["array", "object", "null"], "items": { "type": ["string", "object"] },
-            "description": "one instance for each combination of these axes",
+            "description": "the stage has one instance per combination of these axes",
         }),
         "when" => json!({
             "type": ["object", "array", "null"],
-            "description": "lets those instances through for which one of its maps holds",
+            "description": "only instances that match one of these maps exist",
         }),
         "seed" => seed("this stage's own seed"),
         "with" => json!({ "type": ["object", "null", "string"], "description": "parameters of the kind" }),
         "inputs" => inputs(),
         "retries" => json!({
-            "description": "tries after a failure",
+            "description": "number of retries after a failure",
             "anyOf": [{ "type": "integer", "minimum": 0, "maximum": 1000 }, {
                 "type": "object", "additionalProperties": false,
                 "properties": { "times": { "type": "integer", "minimum": 0 }, "pause": { "type": ["string", "number"] } },
             }],
         }),
         "timeout" => {
-            json!({ "type": ["string", "number"], "description": "how long one try may take, as `90s`, `2h`" })
+            json!({ "type": ["string", "number"], "description": "time limit of one try, as `90s`, `2h`" })
         }
         "resources" => json!({
             "type": "object", "additionalProperties": { "type": "integer", "minimum": 1 },
-            "description": "what it holds while it runs, of what `run --resources` counts, as `{ gpu: 1 }`",
+            "description": "units of counted resources that it holds while it runs (`run --resources`), as `{ gpu: 1 }`",
         }),
         "memory" => json!({
-            "type": ["string", "number"], "description": "how much memory it may keep, as `500M`, `8G`",
+            "type": ["string", "number"], "description": "memory limit, as `500M`, `8G`",
         }),
         _ => json!(true),
     }
@@ -147,7 +147,7 @@ fn stage_field(name: &str, registry: &Registry) -> Value {
 
 fn inputs() -> Value {
     json!({
-        "description": "what it reads", "type": ["object", "null"], "additionalProperties": { "$ref": format!("{HERE}wiring") },
+        "description": "the inputs: references to stages, or files", "type": ["object", "null"], "additionalProperties": { "$ref": format!("{HERE}wiring") },
     })
 }
 

@@ -1,8 +1,8 @@
-//! The texts that messages point into: the pipeline file, and arguments of the command line.
+//! The texts that messages point to: pipeline files and arguments of the command line.
 
 use std::sync::Arc;
 
-/// A stretch of one of the [`Sources`], in bytes. Empty where only a position is known.
+/// A range of bytes in one of the [`Sources`]. Empty where only a position is known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(crate) struct Span {
     /// Which source; 0 is the pipeline file.
@@ -14,18 +14,18 @@ pub(crate) struct Span {
 }
 
 impl Span {
-    /// A stretch of the source of that number.
+    /// A range of the source with that number.
     pub fn new(source: u16, range: std::ops::Range<usize>) -> Self {
         let clamp = |at: usize| u32::try_from(at).unwrap_or(u32::MAX);
         Self { source, start: clamp(range.start), end: clamp(range.end) }
     }
 
-    /// True where nothing stands there, as the value of `kind:` with nothing after it.
+    /// True for an empty range, as the value of `kind:` with nothing after it.
     pub fn is_empty(self) -> bool {
         self.start >= self.end
     }
 
-    /// `range` counted from the start of this stretch.
+    /// The span of a range relative to the start of this span.
     pub fn part(self, range: std::ops::Range<usize>) -> Self {
         let start = self.start as usize;
         Self::new(self.source, start + range.start..start + range.end)
@@ -104,7 +104,7 @@ impl Source {
         format!("{}:{}:{}", self.name, line.number, line.column)
     }
 
-    /// What stands at `span`.
+    /// The text at `span`.
     pub fn slice(&self, span: Span) -> &str {
         let (start, end) = (floor(&self.text, span.start as usize), floor(&self.text, span.end as usize));
         self.text.get(start..end).unwrap_or_default()

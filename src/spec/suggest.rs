@@ -2,10 +2,10 @@
 
 /// Longer names than this are not compared: the time grows with the square.
 const LONGEST: usize = 64;
-/// So many known names are listed in a hint.
+/// The number of names that a hint lists.
 const LISTED: usize = 12;
 
-/// The known name that `seen` was probably meant to be.
+/// The known name that is nearest to `seen`.
 pub(crate) fn nearest<'a>(seen: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     if seen.len() > LONGEST {
         return None;
@@ -17,11 +17,11 @@ pub(crate) fn nearest<'a>(seen: &str, known: impl IntoIterator<Item = &'a str>) 
         let allowed = 1 + name.len() / 4;
         let far = name.len().abs_diff(seen.len()) > allowed || name.len() > LONGEST;
         let distance = if far { usize::MAX } else { strsim::damerau_levenshtein(&wanted, &plain(name)) };
-        // One letter is near to every other; that is no likeness.
+        // A single letter is near to every other one, which means nothing.
         (distance <= allowed && distance < seen.chars().count()).then_some((distance, name))
     });
     let closest = close.min().map(|(_, name)| name);
-    // An abbreviation, where it can stand for one name only.
+    // A unique abbreviation.
     let long = || known.iter().copied().filter(|name| seen.len() >= 3 && plain(name).starts_with(&wanted));
     closest.or_else(|| long().next().filter(|_| long().count() == 1))
 }

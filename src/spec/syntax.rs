@@ -1,4 +1,4 @@
-//! The YAML crate's syntax errors in words for people who do not know the YAML grammar, with what usually causes them.
+//! Translates the YAML crate's syntax errors for people who do not know the YAML grammar, with the usual causes.
 
 use serde_saphyr::granit_parser::ErrorKind;
 
@@ -87,7 +87,7 @@ fn words(kind: &ErrorKind) -> (Option<String>, &'static [&'static str]) {
         E::RecursionLimitExceeded => {
             return (
                 Some(format!("lists and maps are more than {} deep here", super::node::MAX_DEPTH)),
-                &["no pipeline needs that; is a bracket missing?"],
+                &["is a bracket missing?"],
             );
         }
         _ => return (None, &[]),
@@ -98,7 +98,7 @@ fn words(kind: &ErrorKind) -> (Option<String>, &'static [&'static str]) {
 fn detail(kind: &ErrorKind) -> &'static str {
     use ErrorKind as E;
     match kind {
-        E::InvalidIndentation | E::InvalidFlowScalarIndent => "the indentation fits no line above",
+        E::InvalidIndentation | E::InvalidFlowScalarIndent => "the indentation matches no line above",
         E::ExpectedBlockMappingKey => "expected the next key of a map",
         E::ExpectedBlockSequenceEntry => "expected the next `- ` of a list",
         E::MappingValueNotAllowed => "a second `:` in one line",

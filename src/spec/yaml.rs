@@ -175,7 +175,7 @@ impl<'p> Loader<'p> {
     fn too_deep(&mut self, span: Span) {
         self.problems.add(|| {
             Problem::new(span, format!("lists and maps are more than {MAX_DEPTH} deep here"))
-                .hint("no pipeline needs that; is a bracket missing?")
+                .hint("is a bracket missing?")
         });
     }
 
@@ -225,7 +225,7 @@ impl<'p> Loader<'p> {
     fn alias(&mut self, id: usize, span: Span) -> Option<()> {
         let Some(node) = self.anchors.get(&id) else {
             self.problems.add(|| {
-                Problem::new(span, "found a YAML alias inside the value that it stands for")
+                Problem::new(span, "found a YAML alias inside its own value")
                     .hint("a value cannot contain itself; remove the alias")
             });
             return None;

@@ -1,4 +1,4 @@
-//! Contents: hashed, made read-only, and moved to the place that their name says.
+//! Blobs: files that are hashed, made read-only, and moved to the path of their digest.
 
 use std::fs::File;
 use std::io::{Read, Write};
@@ -10,13 +10,13 @@ use rayon::prelude::*;
 use super::{Digest, Run, Store, StoreError};
 use crate::fsx::{self, Entry, FsError};
 
-/// Copies from outside that this process has begun.
+/// Number of imports that this process has started.
 pub(super) static COPIES: AtomicU64 = AtomicU64::new(0);
 
-/// The name and length of a file's content.
+/// The digest and length of a file.
 ///
 /// # Errors
-/// It cannot be read, or is no regular file.
+/// It cannot be read, or is not a regular file.
 pub fn hash_file(path: &Path) -> fsx::Result<(Digest, u64)> {
     let file = fsx::open(path)?;
     hash(&file, path)
@@ -28,30 +28,29 @@ fn hash(file: &File, path: &Path) -> fsx::Result<(Digest, u64)> {
     Ok((Digest::new(*hasher.finalize().as_bytes()), hasher.count()))
 }
 
-/// A content that is in its place and can be read by others, but does not outlive a power failure before
-/// [`Blob::sync`].
+/// A blob that others can read, but that may not survive a power failure before [`Blob::sync`].
 #[derive(Debug)]
 pub struct Blob {
-    /// The name of the content.
+    /// Its digest.
     pub digest: Digest,
     /// Its length.
     pub bytes: u64,
     file: File,
     path: PathBuf,
     made_folder: bool,
-    /// Contents that this one lists, which become durable before it.
+    /// The blobs that a folder list names; they become durable before it.
     parts: Vec<(Digest, PathBuf)>,
 }
 
 impl Store {
-    /// Takes `path`, a file in a private folder of this store, as a blob. The file may be gone afterwards.
+    /// Takes `path`, a file in a private folder of this store, as a blob. The file may be moved.
     ///
     /// # Errors
     /// It cannot be read, or the store cannot be written.
     pub fn take(&self, path: &Path) -> Result<Blob, StoreError> {
         let mut file = fsx::open(path)?;
         if fsx::is_in_other_hands(&file, path)? {
-            // Whoever has it can write into it whatever its name is then: a new file takes its place.
+            // A process that has it open or linked could still write to it, so it is copied to a new file.
             fsx::copy_atomic(path, path)?;
             file = fsx::open(path)?;
         }
@@ -59,7 +58,7 @@ impl Store {
         self.adopt(file, path, digest, bytes)
     }
 
-    /// As [`Store::take`], of a file whose content is known.
+    /// As [`Store::take`], for a file whose digest is known.
     fn adopt(&self, mut file: File, path: &Path, digest: Digest, bytes: u64) -> Result<Blob, StoreError> {
         let target = self.blob_path(&digest);
         let mut made_folder = false;
@@ -78,7 +77,7 @@ impl Store {
                 } else if let Some(there) = same_content(&target, digest, bytes)? {
                     file = there;
                 } else {
-                    // What is there is broken. It is replaced only by something that will not break in turn.
+                    // The existing file is damaged. Its replacement is made durable first.
                     fsx::sync(&file, path)?;
                     made_folder = fsx::rename_into(path, &target)?;
                 }
@@ -87,10 +86,10 @@ impl Store {
         Ok(Blob { digest, bytes, file, path: target, made_folder, parts: Vec::new() })
     }
 
-    /// Copies a file from outside into the store, where nobody changes it while stages read it.
+    /// Copies a file from outside into the store, so that nobody changes it while stages read it.
     ///
     /// # Errors
-    /// Its content is not `digest` any more, it cannot be read, or the store cannot be written.
+    /// Its content is no longer `digest`, it cannot be read, or the store cannot be written.
     pub fn import(&self, path: &Path, digest: &Digest, run: &Run) -> Result<(), StoreError> {
         let target = self.blob_path(digest);
         if let Some(Entry::File(bytes)) = fsx::entry(&target)?
@@ -98,7 +97,7 @@ impl Store {
         {
             return Ok(());
         }
-        // Several stages may bring in the same file at once, each its own copy.
+        // Several stages may import the same file at once, each with its own copy.
         let number = COPIES.fetch_add(1, Ordering::Relaxed);
         let copy = run.temporary().join(format!("import-{number}-{digest}"));
         let mut hashing = Hashing::new(fsx::open(path)?);
@@ -123,7 +122,7 @@ impl Hashing {
         Self { file, hasher: blake3::Hasher::new() }
     }
 
-    /// The name of what was read so far.
+    /// The digest of what was read so far.
     pub fn digest(&self) -> Digest {
         Digest::new(*self.hasher.finalize().as_bytes())
     }
@@ -138,17 +137,17 @@ impl Read for Hashing {
 }
 
 impl Blob {
-    /// As the list of these contents.
+    /// As the list of these blobs.
     pub(super) fn with_parts(self, parts: Vec<(Digest, PathBuf)>) -> Self {
         Self { parts, ..self }
     }
 
-    /// The name of the content, and of those that it lists.
+    /// Its digest, and the digests that it lists.
     pub fn contents(&self) -> impl Iterator<Item = Digest> {
         std::iter::once(self.digest).chain(self.parts.iter().map(|(digest, _)| *digest))
     }
 
-    /// Makes the contents that this one lists durable, and their names. Side by side: a disk does many at once.
+    /// Makes the listed blobs and their names durable, in parallel.
     fn sync_parts(&self) -> fsx::Result<()> {
         self.parts.par_iter().try_for_each(|(_, part)| fsx::sync(&fsx::open(part)?, part))?;
         let mut folders: Vec<&Path> = self.parts.iter().filter_map(|(_, part)| part.parent()).collect();
@@ -158,10 +157,10 @@ impl Blob {
         folders.first().and_then(|folder| folder.parent()).map_or(Ok(()), fsx::sync_dir)
     }
 
-    /// Makes the content and its name durable.
+    /// Makes the blob and its name durable.
     ///
     /// # Errors
-    /// The disk refuses.
+    /// It cannot be synced.
     pub fn sync(&self) -> fsx::Result<()> {
         if !self.parts.is_empty() {
             self.sync_parts()?;
@@ -177,7 +176,7 @@ impl Blob {
     }
 }
 
-/// The file at `path`, if it has that content: one that only has the right length may be what a power failure left.
+/// The file at `path`, if it has that digest: a file with only the right length may be left from a power failure.
 fn same_content(path: &Path, digest: Digest, bytes: u64) -> fsx::Result<Option<File>> {
     if fsx::entry(path)? != Some(Entry::File(bytes)) {
         return Ok(None);

@@ -29,9 +29,6 @@ pub struct CompleteRun {
 impl Store {
     /// The complete run that was stored under `name` and made from the same; `None` where there is none or something that it
     /// lists is missing.
-    ///
-    /// # Errors
-    /// The store cannot be read.
     pub fn complete_run(&self, name: &Digest, made_from: &Digest) -> Result<Option<CompleteRun>, StoreError> {
         let path = self.root().join("settled-v1").join(name.hex());
         let Some(bytes) = fsx::read_if_there(&path)? else { return Ok(None) };
@@ -46,9 +43,6 @@ impl Store {
     }
 
     /// Stores a complete run. It need not survive a power failure: half a file is ignored.
-    ///
-    /// # Errors
-    /// The store cannot be written.
     pub fn keep_complete_run(
         &self,
         name: &Digest,

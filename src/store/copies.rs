@@ -1,8 +1,8 @@
-//! Private copies of contents, for programs that may do with their inputs what they like: nothing that is done to a copy
-//! reaches the store, whoever the user is and whatever rights the program takes for itself.
+//! Private copies of blobs, for foreign programs: whatever a program does to a copy does not reach the store, whoever the user is
+//! and whatever permissions the program sets.
 //!
-//! Where the file system shares blocks between files (btrfs, XFS, bcachefs, ZFS since 2.2), a copy costs nothing. Elsewhere
-//! its bytes are read, hashed and written, so that a content that was damaged is found before a program reads it.
+//! Where the file system can share blocks between files (btrfs, XFS, bcachefs, ZFS since 2.2), a copy is free. Elsewhere its bytes
+//! are read, hashed and written, so that a damaged blob is found before a program reads it.
 
 use std::path::{Path, PathBuf};
 
@@ -12,10 +12,10 @@ use super::folder::{FolderEntry, Part};
 use super::{Digest, Store, StoreError};
 use crate::fsx::{self, FsError, Made};
 
-/// Folders with at least so many files are copied by several threads.
+/// Folders with at least this many files are copied by several threads.
 const SIDE_BY_SIDE: usize = 64;
 
-/// A file that was copied, and what it was like then.
+/// A copy, with its metadata at the time of copying.
 #[derive(Debug)]
 pub struct PrivateCopy {
     path: PathBuf,
@@ -24,38 +24,37 @@ pub struct PrivateCopy {
 }
 
 impl PrivateCopy {
-    /// Keeps it apart from a file that takes its place: one that is removed leaves its number to the next.
+    /// Keeps it open, so that a file that replaces it is not mistaken for it (a removed file's inode number is reused).
     ///
     /// # Errors
-    /// It is not there any more.
+    /// It no longer exists.
     pub fn hold(&mut self) -> fsx::Result<()> {
         self.made.hold(&self.path)
     }
 
-    /// Where it was put.
+    /// Its path.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// True where the file that was put there has another content by now. One that is gone, or that another file has taken
-    /// the place of, was not written to.
+    /// True where the content of the copy has changed. A copy that was removed or replaced by another file was not changed.
     ///
     /// # Errors
-    /// It is there and cannot be read.
+    /// It exists and cannot be read.
     pub fn was_changed(&self) -> fsx::Result<bool> {
         let Some(now) = self.made.now(&self.path)?.filter(|now| *now != self.made.stat) else {
             return Ok(false);
         };
-        // Its rights or times may be all that changed.
+        // Perhaps only its permissions or times changed.
         Ok(now.bytes != self.made.stat.bytes || super::hash_file(&self.path)?.0 != self.digest)
     }
 }
 
 impl Store {
-    /// Copies a content to the new file `to`, read-only, and executable where that is wanted.
+    /// Copies a blob to the new file `to`, read-only, and executable where requested.
     ///
     /// # Errors
-    /// It is missing or damaged, or `to` cannot be written. A damaged content is put aside, so that it is made again.
+    /// It is missing or damaged, or `to` cannot be written. A damaged blob is moved to quarantine, so that it is rebuilt.
     pub fn copy_out(&self, digest: &Digest, to: &Path, executable: bool) -> Result<PrivateCopy, StoreError> {
         let from = self.blob_path(digest);
         let source = match fsx::open(&from) {
@@ -78,7 +77,7 @@ impl Store {
         Ok(PrivateCopy { path: to.to_owned(), digest: *digest, made })
     }
 
-    /// Makes the folder of that name at `to`, of private copies.
+    /// Creates the folder with this digest at `to`, from private copies.
     ///
     /// # Errors
     /// As [`Store::copy_out`].
@@ -88,7 +87,7 @@ impl Store {
         let mut made = Path::new("");
         for FolderEntry { path, what } in folder.entries() {
             let above = if *what == Part::Empty { path } else { path.parent().unwrap_or(Path::new("")) };
-            // Sorted by path, so that those in one folder mostly stand together.
+            // Sorted by path, so that files of one folder are mostly together.
             if above != made {
                 fsx::create_dir_all(&to.join(above))?;
                 made = above;
@@ -108,11 +107,11 @@ impl Store {
         }
     }
 
-    /// Moves a content that is not what its name says out of the way, so that whoever wants it makes it again.
+    /// Moves a damaged blob to quarantine, so that it is rebuilt when needed.
     fn put_aside(&self, path: PathBuf) -> Result<StoreError, FsError> {
         let name = path.strip_prefix(self.root()).unwrap_or(&path).to_string_lossy().replace('/', "-");
         match fsx::rename_into(&path, &self.root().join("quarantine-v1").join(name)) {
-            // Somebody was quicker.
+            // Another process was faster.
             Err(error) if error.is_not_found() => {}
             result => drop(result?),
         }
@@ -143,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_done_to_a_copy_is_noticed_and_does_not_reach_the_store() {
+    fn a_changed_copy_is_noticed_and_does_not_reach_the_store() {
         let (place, store, digest) = store_with(b"content");
         let copy = store.copy_out(&digest, &place.path().join("copy"), false).unwrap();
         assert!(!copy.was_changed().unwrap());
@@ -157,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn other_rights_and_another_file_in_its_place_are_no_change_of_a_copy() {
+    fn other_permissions_or_a_replaced_file_are_not_a_changed_copy() {
         let (place, store, digest) = store_with(b"content");
         let mut copy = store.copy_out(&digest, &place.path().join("copy"), true).unwrap();
         copy.hold().unwrap();
@@ -171,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn a_damaged_content_is_never_given_out_and_is_put_aside() {
+    fn a_damaged_blob_is_never_copied_out_and_is_moved_to_quarantine() {
         let (place, store, digest) = store_with(b"content");
         overwrite(&store.blob_path(&digest), b"CONTENT");
         let to = place.path().join("copy");

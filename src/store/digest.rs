@@ -1,4 +1,4 @@
-//! Names of contents and of work: 32 bytes of blake3, told apart by type so that one is never taken for the other.
+//! Digests of contents and keys of stages: 32 bytes of blake3, with two types so that they cannot be confused.
 
 use std::fmt;
 use std::str::FromStr;
@@ -32,7 +32,7 @@ macro_rules! hex_name {
                 blake3::Hash::from_bytes(self.0).to_hex().as_str().to_owned()
             }
 
-            /// The first digits, enough for people to tell two apart.
+            /// The first digits, enough for people to distinguish two.
             pub fn short(&self) -> String {
                 self.hex()[..12].to_owned()
             }
@@ -72,11 +72,11 @@ macro_rules! hex_name {
 }
 
 hex_name! {
-    /// The name of a content: blake3 of its bytes.
+    /// The digest of a content: blake3 of its bytes.
     Digest
 }
 hex_name! {
-    /// The name of a piece of work: blake3 over all that its result depends on (see [`crate::plan`]).
+    /// The key of a stage: blake3 over everything that its result depends on (see [`crate::plan`]).
     Key
 }
 

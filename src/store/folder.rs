@@ -1,16 +1,16 @@
-//! Folders as artifacts. Every file of a folder is a blob of its own; the folder is a blob that lists them, and its digest
-//! is the folder's name. So folders that share files share their blobs, and a stage is given links instead of copies.
+//! Folders as artifacts. Every file of a folder is a blob; the folder is a blob that lists them, and the digest of that list is
+//! the digest of the folder. So folders that share files share blobs, and a stage gets links instead of copies.
 //!
 //! ```text
 //! dril-folder 1
 //! <64 digits> <bytes> - data/a.csv        a file
-//! <64 digits> <bytes> x bin/tool          a file that may be executed
-//! - 0 d logs                              a folder in which there is nothing
-//! data/b.csv 0 l last.csv                 a link, and where it leads from there
+//! <64 digits> <bytes> x bin/tool          an executable file
+//! - 0 d logs                              an empty folder
+//! data/b.csv 0 l last.csv                 a link, and its target relative to it
 //! ```
 //!
-//! Lines are sorted by path; bytes of a path that are no plain ASCII are written as `%` and two hexadecimal digits, and so
-//! are `%` and spaces. Owners, times and all other rights are left out: they are not content.
+//! Lines are sorted by path. `%`, spaces and bytes outside printable ASCII are written as `%` and two hexadecimal digits. Owners,
+//! times and all other permissions are omitted: they are not content.
 
 use std::collections::HashSet;
 use std::ffi::OsString;
@@ -25,27 +25,27 @@ use crate::fsx::{self, Links, What};
 
 const HEAD: &str = "dril-folder 1";
 
-/// What is in a folder, sorted by path.
+/// The contents of a folder, sorted by path.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Folder {
     entries: Vec<FolderEntry>,
 }
 
-/// Something in a folder.
+/// An entry of a folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FolderEntry {
-    /// Relative to the folder; made of names only.
+    /// Its path relative to the folder, without `.` and `..`.
     pub path: PathBuf,
-    /// What is there.
+    /// What it is.
     pub what: Part,
 }
 
-/// What there can be in a folder.
+/// The types of entries in a folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Part {
     /// A file.
     File(FolderFile),
-    /// A folder in which there is nothing.
+    /// An empty folder.
     Empty,
     /// A link to something in the same folder, as [`fsx::What::Link`].
     Link(PathBuf),
@@ -54,22 +54,22 @@ pub enum Part {
 /// A file in a folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FolderFile {
-    /// The name of its content.
+    /// Its digest.
     pub digest: Digest,
     /// Its length.
     pub bytes: u64,
-    /// True where it may be executed.
+    /// True where it is executable.
     pub executable: bool,
 }
 
 impl Folder {
-    /// Of these entries, in any order.
+    /// A folder with these entries, in any order.
     pub fn new(mut entries: Vec<FolderEntry>) -> Self {
         entries.sort_by(|a, b| a.path.as_os_str().as_bytes().cmp(b.path.as_os_str().as_bytes()));
         Self { entries }
     }
 
-    /// What is in it.
+    /// Its entries.
     pub fn entries(&self) -> &[FolderEntry] {
         &self.entries
     }
@@ -99,13 +99,12 @@ impl Folder {
         text.into_bytes()
     }
 
-    /// The folder's name: that of its list.
+    /// The folder's digest: that of its list.
     pub fn digest(&self) -> Digest {
         Digest::of(&self.to_bytes())
     }
 
-    /// Reads a list back. It is believed only where it is what we would have written, so that no path in it leads out of
-    /// the folder.
+    /// Parses a list. It is accepted only in exactly the form that we write, so that no path in it leads out of the folder.
     ///
     /// # Errors
     /// What is wrong with it.
@@ -114,10 +113,10 @@ impl Folder {
         let mut lines = text.lines();
         match lines.next() {
             Some(HEAD) => {}
-            head => return Err(format!("it begins with `{}`, expected `{HEAD}`", head.unwrap_or_default())),
+            head => return Err(format!("it starts with `{}`, expected `{HEAD}`", head.unwrap_or_default())),
         }
         let entries: Option<Vec<FolderEntry>> = lines.map(entry).collect();
-        let folder = Self { entries: entries.ok_or("it has a line that lists no file")? };
+        let folder = Self { entries: entries.ok_or("it has an invalid line")? };
         let name = |part: &[u8]| !matches!(part, b"" | b"." | b"..");
         let names_only =
             |entry: &FolderEntry| entry.path.as_os_str().as_bytes().split(|byte| *byte == b'/').all(name);
@@ -135,15 +134,15 @@ impl Folder {
         {
             Ok(folder)
         } else {
-            Err("its paths are not sorted, lead out of it, or meet".to_owned())
+            Err("its paths are not sorted, lead out of the folder, or overlap".to_owned())
         }
     }
 }
 
-/// What is in a folder.
+/// Hashes a folder.
 ///
 /// # Errors
-/// Something in it cannot be read, or is neither file nor folder.
+/// Something in it cannot be read, or is neither a file nor a folder.
 pub fn hash_folder(path: &Path) -> fsx::Result<Folder> {
     let entries = fsx::walk(path, Links::Keep, &fsx::nothing)?.into_par_iter().map(|inside| {
         let what = match inside.what {
@@ -204,10 +203,10 @@ fn entry(line: &str) -> Option<FolderEntry> {
 }
 
 impl Store {
-    /// Takes all that is in `path`, a folder in a private folder of this store. What was there may be gone afterwards.
+    /// Takes `path`, a folder in a private folder of this store, as blobs. Its files may be moved.
     ///
     /// # Errors
-    /// There is something in it that is neither file nor folder, it cannot be read, or the store cannot be written.
+    /// It contains something that is neither a file nor a folder, it cannot be read, or the store cannot be written.
     pub fn take_folder(&self, path: &Path) -> Result<Blob, StoreError> {
         let found = fsx::walk(path, Links::Keep, &fsx::nothing)?;
         let taken = found.into_par_iter().map(|inside| {
@@ -228,10 +227,10 @@ impl Store {
         self.take_list(&folder, &path.with_extension("list"))
     }
 
-    /// Copies a folder from outside, whose content was `folder` when it was planned with, into the store.
+    /// Copies a folder from outside, whose content was `folder` at the time of planning, into the store.
     ///
     /// # Errors
-    /// It is not that any more, it cannot be read, or the store cannot be written.
+    /// It has changed, cannot be read, or the store cannot be written.
     pub fn import_folder(&self, path: &Path, folder: &Folder, run: &Run) -> Result<(), StoreError> {
         let files: Vec<(&Path, FolderFile)> = folder.files().collect();
         files.par_iter().try_for_each(|(inside, file)| self.import(&path.join(inside), &file.digest, run))?;
@@ -246,21 +245,20 @@ impl Store {
         Ok(self.take(draft)?.with_parts(parts))
     }
 
-    /// The list of a folder; `None` where it is not there, or not what its name says.
+    /// The list of a folder; `None` where it is missing or damaged.
     ///
     /// # Errors
-    /// It is there and cannot be read.
+    /// It exists and cannot be read.
     pub fn folder(&self, digest: &Digest) -> Result<Option<Folder>, StoreError> {
         let bytes = fsx::read_if_there(&self.blob_path(digest))?;
         let bytes = bytes.filter(|bytes| Digest::of(bytes) == *digest);
         Ok(bytes.and_then(|bytes| Folder::parse(&bytes).ok()))
     }
 
-    /// The contents that an output is made of, with their lengths: its own, and where it is a folder, those of its files.
-    /// Whoever removes, checks or carries away contents has to count them all.
+    /// All blobs of an output, with their lengths: its own and, for a folder, those of its files.
     ///
     /// # Errors
-    /// The list of a folder is there and cannot be read.
+    /// The list of a folder exists and cannot be read.
     pub fn contents(&self, stored: &Stored) -> Result<Vec<(Digest, u64)>, StoreError> {
         let mut all = vec![(stored.digest, stored.bytes)];
         if stored.folder
@@ -271,7 +269,7 @@ impl Store {
         Ok(all)
     }
 
-    /// True where the list of a folder is there, and each of its files in full length.
+    /// True where the list of a folder and all its files exist in full length.
     pub(super) fn has_folder(&self, digest: &Digest) -> Result<bool, StoreError> {
         let Some(folder) = self.folder(digest)? else { return Ok(false) };
         for (_, file) in folder.files() {
@@ -282,16 +280,16 @@ impl Store {
         Ok(true)
     }
 
-    /// As [`Store::folder`], of one that a stage is to read.
+    /// As [`Store::folder`], for one that a stage needs.
     pub(super) fn folder_to_read(&self, digest: &Digest) -> Result<Folder, StoreError> {
         self.folder(digest)?.ok_or_else(|| StoreError::Missing(self.blob_path(digest)))
     }
 
-    /// Makes the folder of that name at `to`, of links to the contents themselves. For stages of our own kinds, which
-    /// write into no input; see [`Store::copy_out_folder`] for programs.
+    /// Creates the folder with this digest at `to`, from links to the blobs. For built-in stages, which never write to an input;
+    /// see [`Store::copy_out_folder`] for programs.
     ///
     /// # Errors
-    /// Something of it is not in the store any more, or `to` cannot be written.
+    /// A part of it is no longer in the store, or `to` cannot be written.
     pub fn lay_out(&self, digest: &Digest, to: &Path) -> Result<(), StoreError> {
         let folder = self.folder_to_read(digest)?;
         fsx::create_dir_all(to)?;

@@ -131,8 +131,7 @@ fn a_link_is_kept_where_it_leads_inside_and_taken_for_its_file_where_it_leads_to
 #[test]
 fn a_link_that_leads_nowhere_is_named_with_where_it_leads() {
     let (place, store) = store();
-    for (to, expected) in
-        [("gone", "the link is broken"), ("link", "in a circle"), ("/etc", "a folder outside")]
+    for (to, expected) in [("gone", "the link is broken"), ("link", "circular"), ("/etc", "a folder outside")]
     {
         let folder = place.path().join("made");
         std::fs::create_dir(&folder).unwrap();

@@ -1,9 +1,9 @@
-//! What each stage of a pipeline was made as, run after run: `stage -> key, outputs`, one line each, in
+//! The key and outputs of each stage of a pipeline, run after run: `stage -> key, outputs`, one line each, in
 //! `history-v1/<pipeline>-<profile>.jsonl`.
 //!
-//! It serves two ends, and the truth rests on neither: explanations compare a stage with what it was before, and a plan
-//! takes from here what the records say, one file instead of thousands (it still looks that each record and blob is
-//! there). Lines that cannot be read are passed over, so a torn line or a lost file costs an explanation, no result.
+//! It has two uses, and correctness depends on neither: `explain` compares a stage with its past, and a plan reads one file here
+//! instead of thousands of records (it still checks that each record and blob exists). Invalid lines are skipped, so a torn line
+//! or a lost file can cost an explanation, but never a result.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -15,10 +15,10 @@ use serde::{Deserialize, Serialize};
 use super::{Key, Outputs, Store, StoreError};
 use crate::fsx;
 
-/// Lines are written once so many have gathered, and at the end of a run.
+/// The number of lines that are gathered before they are written; the rest is written at the end of a run.
 const BATCH: usize = 32;
 
-/// The history of one pipeline in one profile.
+/// The history of one pipeline with one profile.
 #[derive(Debug, Default)]
 pub struct History {
     path: PathBuf,
@@ -41,7 +41,7 @@ impl Store {
     /// Reads a pipeline's history; an empty one where there is none.
     ///
     /// # Errors
-    /// It is there and cannot be read.
+    /// It exists and cannot be read.
     pub fn history(&self, pipeline: &str, profile: &str) -> Result<History, StoreError> {
         let path = self.history_path(pipeline, profile);
         let bytes = fsx::read_if_there(&path)?.unwrap_or_default();
@@ -66,12 +66,12 @@ impl Store {
         self.root().join("history-v1").join(format!("{name}.jsonl"))
     }
 
-    /// As [`History::touch`], of a history that was not read.
+    /// As [`History::touch`], for a history that was not read.
     pub fn touch_history(&self, pipeline: &str, profile: &str) {
         let _ = fsx::touch(&self.history_path(pipeline, profile));
     }
 
-    /// The latest key of every stage in a history file; lines that cannot be read are passed over.
+    /// The latest key of every stage in a history file; invalid lines are skipped.
     pub(super) fn current_keys(&self, path: &Path) -> Result<Vec<Key>, StoreError> {
         let bytes = fsx::read_if_there(path)?.unwrap_or_default();
         let mut current: HashMap<String, Key> = HashMap::new();
@@ -85,26 +85,22 @@ impl Store {
 }
 
 impl History {
-    /// Notes that what is current here was used now: what is collected first is what was used longest ago. Nothing
-    /// depends on it, so a store that can only be read is no error.
+    /// Marks the current results as used now: `gc` removes the least recently used first. A read-only store is not an error.
     pub fn touch(&self) {
         let _ = fsx::touch(&self.path);
     }
 
-    /// The keys that a stage had, the latest first.
+    /// The keys of a stage, latest first.
     pub fn earlier(&self, stage: &str) -> impl Iterator<Item = &Key> {
         self.stages.get(stage).into_iter().flatten().rev()
     }
 
-    /// What the record of that key says, as far as it is known here.
+    /// The outputs of a key, if they are known here.
     pub fn outputs(&self, key: &Key) -> Option<&Arc<Outputs>> {
         self.outputs.get(key)
     }
 
-    /// Notes what a stage is now. Nothing is written where that is not new.
-    ///
-    /// # Errors
-    /// The file cannot be written.
+    /// Adds the current key of a stage, unless it is the latest already.
     pub fn note(&mut self, stage: &str, key: Key, outputs: &Arc<Outputs>) -> Result<(), StoreError> {
         if self.earlier(stage).next() == Some(&key) {
             return Ok(());
@@ -116,10 +112,7 @@ impl History {
         if self.gathered >= BATCH { self.flush() } else { Ok(()) }
     }
 
-    /// Writes what has gathered.
-    ///
-    /// # Errors
-    /// The file cannot be written.
+    /// Writes the gathered lines.
     pub fn flush(&mut self) -> Result<(), StoreError> {
         if self.gathered > 0 {
             match (fsx::append(&self.path, &self.unwritten), self.path.parent()) {
@@ -135,10 +128,7 @@ impl History {
         Ok(())
     }
 
-    /// Keeps only the last line of each stage, once most lines are outdated.
-    ///
-    /// # Errors
-    /// The file cannot be written.
+    /// Keeps only the last line of each stage, if most lines are outdated.
     pub fn compact(&mut self) -> Result<(), StoreError> {
         self.flush()?;
         if self.lines <= 2 * self.stages.len() + BATCH {
@@ -189,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_noted_is_read_back_latest_first() {
+    fn keys_are_read_back_latest_first() {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(folder.path()).unwrap();
         let mut history = store.history("p", "q").unwrap();

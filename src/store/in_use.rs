@@ -1,47 +1,41 @@
-//! What living runs use, so that nobody removes it under their hands.
+//! What running processes use, so that `gc` does not remove it.
 //!
-//! A run lists the keys and contents that it relies on in `tmp/<run>/uses`. Whoever looks something up that has to stay,
-//! and notes it there, holds the shared lock on `gc.lock` meanwhile; whoever removes something holds it alone. So what a
-//! run found is either noted before anything is removed, or gone before it was found.
+//! A run lists the keys and blobs that it relies on in `tmp/<run>/uses`. While it looks something up and adds it to the list, it
+//! holds the shared lock on `gc.lock`; `gc` holds it exclusively. So what a run found is either listed before anything is removed,
+//! or removed before it was found.
 
 use std::collections::HashSet;
 
 use super::{Digest, Key, Run, Store, StoreError};
 use crate::fsx::{self, Lock};
 
-/// What living runs rely on.
+/// What current runs rely on.
 #[derive(Clone, Debug, Default)]
 pub struct InUse {
     /// Their names.
     pub runs: Vec<String>,
-    /// Keys whose records they found, or make.
+    /// Keys whose records they found or build.
     pub keys: HashSet<Key>,
-    /// Contents that they read or have just made.
+    /// Blobs that they read or have just built.
     pub digests: HashSet<Digest>,
 }
 
 impl Store {
-    /// Keeps others from removing anything until the lock is dropped; `None` where nobody ever ran on this store. Waits
-    /// while somebody removes things. Makes no file, so that a store that can only be read can be used.
+    /// Keeps `gc` out until the lock is dropped; `None` where there was never a run on this store. Waits for a running `gc`.
+    /// Creates no file, so that a read-only store can be used.
     ///
     /// # Errors
-    /// The lock cannot be opened, or the file system knows no locks.
+    /// The lock cannot be opened, or the file system does not support locks.
     pub fn hold(&self) -> Result<Option<Lock>, StoreError> {
         Ok(Lock::shared(&self.root().join("gc.lock"))?)
     }
 
-    /// The right to remove things. Waits until nobody looks anything up.
-    ///
-    /// # Errors
-    /// The store cannot be written.
+    /// The exclusive lock of `gc`. Waits until no process looks anything up.
     pub(super) fn hold_alone(&self) -> Result<Lock, StoreError> {
         Ok(Lock::acquire(&self.root().join("gc.lock"))?)
     }
 
-    /// What living runs rely on. A run that is about to die counts as living.
-    ///
-    /// # Errors
-    /// The store cannot be read.
+    /// What current runs rely on. A run that is about to die counts as living.
     pub fn in_use(&self) -> Result<InUse, StoreError> {
         let mut all = InUse::default();
         for path in fsx::list(&self.root().join("tmp"))? {
@@ -66,11 +60,8 @@ impl Store {
 }
 
 impl Run {
-    /// Notes that this run relies on the records of these keys, and on these contents, until it ends. The caller
-    /// [holds](Store::hold) the store since before it found them.
-    ///
-    /// # Errors
-    /// The note cannot be written.
+    /// Protects the records of these keys and these blobs from `gc` until this run ends. The caller must have
+    /// [held](Store::hold) the store since before it found them.
     pub fn rely_on(
         &self,
         keys: impl IntoIterator<Item = Key>,

@@ -1,5 +1,5 @@
-//! The content-addressed store: blobs by the name of their content, records by the key of the work that made them.
-//! A record is written last, so a crash leaves garbage and never half a result. See `docs/design/store.md`.
+//! The content-addressed store: blobs by the digest of their content, records by the key of the stage that made them. A record
+//! is written last, so a crash leaves garbage and never half a result. See `docs/design/store.md`.
 
 mod blob;
 mod bundle;
@@ -46,42 +46,41 @@ pub enum StoreError {
     /// A file of the store could not be read or written.
     #[error("{0}")]
     Fs(#[from] FsError),
-    /// Something that is no folder stands where the store should be.
+    /// The store's path is not a folder.
     #[error("the store `{}` is not a folder", .0.display())]
     NotAFolder(PathBuf),
-    /// The current folder, to which the store's path is relative, is not there any more.
-    #[error("cannot tell where the store `{path}` is: {source}", path = path.display())]
+    /// The current folder, to which the store's path is relative, no longer exists.
+    #[error("cannot locate the store `{path}`: {source}", path = path.display())]
     NoWorkingFolder {
         /// The path as given.
         path: PathBuf,
         /// The system's answer.
         source: std::io::Error,
     },
-    /// The store's path is no text, so that no job file could name what is in it.
-    #[error("the path of the store, `{}`, is not UTF-8, expected one that can be written into job files", .0.display())]
+    /// The store's path is not UTF-8, so job files cannot contain it.
+    #[error("the path of the store, `{}`, is not UTF-8, expected a path that job files can contain", .0.display())]
     NotText(PathBuf),
-    /// Something that was asked for as a whole is not there as a whole.
+    /// Something is incomplete; the text says what.
     #[error("{0}")]
     NotWhole(String),
-    /// A file from outside is not what it was when the run was planned.
+    /// A file from outside has changed since the run was planned.
     #[error("`{}` was changed after the run was planned; run again", .0.display())]
     Changed(PathBuf),
-    /// A content that a stage was to read is not there any more.
-    #[error("the content `{}` is not in the store any more; run again, and the stage that made it runs too", .0.display())]
+    /// A blob that a stage needs is missing.
+    #[error("the blob `{}` is no longer in the store; run again to rebuild it", .0.display())]
     Missing(PathBuf),
-    /// A content that a stage was to read is not what its name says. It was put aside.
+    /// A blob that a stage needs does not match its digest. It was moved to quarantine.
     #[error(
-        "the content `{}` was damaged in the store and was moved to its `quarantine-v1/`; run again, and the stage that \
-         made it runs too", .0.display()
+        "the blob `{}` is damaged and was moved to `quarantine-v1/` of the store; run again to rebuild it", .0.display()
     )]
     Damaged(PathBuf),
 }
 
-/// Where contents and records are, in the store.
+/// The folders of blobs and records.
 const BLOBS: &str = "blobs-v1";
 const RECORDS: &str = "records-v1";
 
-/// How the key of a record is computed; above this module, since it is the planner's.
+/// Computes the key of a record; passed in, since the planner defines keys.
 pub type KeyOf = fn(&Record) -> Option<Key>;
 
 /// What the store has under a key.
@@ -91,7 +90,7 @@ pub enum Found {
     Record(Box<Record>),
     /// Nothing.
     Nothing,
-    /// Something that is no record; the text says why not.
+    /// Not a valid record; the text says why.
     Damaged(String),
 }
 
@@ -104,14 +103,14 @@ pub struct Store {
 }
 
 impl Store {
-    /// The store in `root`. Writes nothing: the folder is made when something is stored.
+    /// Opens the store in `root`. Writes nothing: the folder is created when something is stored.
     ///
     /// # Errors
-    /// There is something that is no folder.
+    /// The path is not a folder.
     pub fn open(root: &Path) -> Result<Store, StoreError> {
         let absolute = std::path::absolute(root)
             .map_err(|source| StoreError::NoWorkingFolder { path: root.to_owned(), source })?;
-        // A link to a folder is as good as a folder; anything else that is there is not.
+        // A link to a folder is allowed.
         match fsx::entry(&absolute)? {
             Some(Entry::File(_)) => Err(StoreError::NotAFolder(absolute)),
             _ => {
@@ -126,10 +125,7 @@ impl Store {
         &self.root
     }
 
-    /// The record of a key; `None` where there is none that can be read (see [`Store::find`]).
-    ///
-    /// # Errors
-    /// The store cannot be read.
+    /// The record of a key; `None` where there is none or it cannot be read (see [`Store::find`]).
     pub fn record(&self, key: &Key) -> Result<Option<Record>, StoreError> {
         match self.find(key)? {
             Found::Record(record) => Ok(Some(*record)),
@@ -137,10 +133,7 @@ impl Store {
         }
     }
 
-    /// What is there under a key.
-    ///
-    /// # Errors
-    /// The store cannot be read.
+    /// Looks a key up.
     pub fn find(&self, key: &Key) -> Result<Found, StoreError> {
         let Some(bytes) = fsx::read_if_there(&self.record_path(key))? else { return Ok(Found::Nothing) };
         Ok(match serde_json::from_slice::<Record>(&bytes) {
@@ -152,18 +145,12 @@ impl Store {
         })
     }
 
-    /// True where a file stands for the record of a key. Cheaper than reading it.
-    ///
-    /// # Errors
-    /// The store cannot be read.
+    /// True where the record file of a key exists. Cheaper than reading it.
     pub fn has_record(&self, key: &Key) -> Result<bool, StoreError> {
         Ok(matches!(self.records.entry(&sharded(&key.hex(), ".json"))?, Some(Entry::File(_))))
     }
 
-    /// The first output whose file, or one of whose files, is not there in its full length.
-    ///
-    /// # Errors
-    /// The store cannot be read.
+    /// The first output of which a file is missing or has the wrong length.
     pub fn lost<'o>(&self, outputs: &'o Outputs) -> Result<Option<&'o str>, StoreError> {
         for (name, stored) in outputs {
             if !self.has_blob(&stored.digest, stored.bytes)?
@@ -175,30 +162,30 @@ impl Store {
         Ok(None)
     }
 
-    /// True where a content of that length is in its place. Its bytes are not looked at.
+    /// True where a blob with this length exists. Its bytes are not read.
     fn has_blob(&self, digest: &Digest, bytes: u64) -> Result<bool, StoreError> {
         Ok(self.blobs.entry(&sharded(&digest.hex(), ""))? == Some(Entry::File(bytes)))
     }
 
-    /// The file of a content (read-only); it may not be there.
+    /// The path of a blob (a read-only file); it may not exist.
     pub fn blob_path(&self, digest: &Digest) -> PathBuf {
         self.blobs.path().join(sharded(&digest.hex(), ""))
     }
 
-    /// The file of a key's record; it may not be there.
+    /// The path of a key's record; it may not exist.
     pub fn record_path(&self, key: &Key) -> PathBuf {
         self.records.path().join(sharded(&key.hex(), ".json"))
     }
 
-    /// The folder of a key's checkpoints; it may not be there.
+    /// The folder of a key's checkpoints; it may not exist.
     pub fn checkpoints(&self, key: &Key) -> PathBuf {
         self.root.join("checkpoints-v1").join(key.hex())
     }
 
-    /// Takes a key's checkpoints away: moves them into `folder`, which is private to the caller and in this store.
+    /// Removes a key's checkpoints by moving them into `folder`, which is private to the caller and in this store.
     ///
     /// # Errors
-    /// They are there and can be neither moved nor removed.
+    /// They exist and can be neither moved nor removed.
     pub fn clear_checkpoints(&self, key: &Key, folder: &Path) -> Result<(), StoreError> {
         let checkpoints = self.checkpoints(key);
         match fsx::rename(&checkpoints, &folder.join("checkpoints")) {
@@ -207,8 +194,8 @@ impl Store {
         }
     }
 
-    /// Takes the lock on a key, the right to make its record; `None` while somebody else holds it. Needs a [`Run`],
-    /// which makes the folder.
+    /// Takes the lock on a key, the exclusive right to write its record; `None` while another process holds it. Needs a
+    /// [`Run`], which creates the folder.
     ///
     /// # Errors
     /// The store cannot be written, or its file system knows no locks.
@@ -216,11 +203,11 @@ impl Store {
         Ok(Lock::try_acquire(&self.root.join("locks-v1").join(key.hex()))?)
     }
 
-    /// Makes a stage's result the key's: first its blobs become durable, then the record is written. `folder` is private
-    /// to the caller and in this store.
+    /// Commits the result of a key: its blobs become durable, then the record is written. `folder` is private to the caller and
+    /// in this store.
     ///
     /// # Errors
-    /// The store cannot be written; there is then no record.
+    /// The store cannot be written; then there is no record.
     pub fn commit(
         &self,
         key: &Key,
@@ -238,7 +225,7 @@ impl Store {
     }
 }
 
-/// `name` in a subfolder named after its first two letters, so that no folder grows too long.
+/// `name` in a subfolder named after its first two characters, so that no folder gets too large.
 fn sharded(name: &str, ending: &str) -> String {
     let (shard, rest) = name.split_at(2);
     let mut path = String::with_capacity(name.len() + ending.len() + 1);
@@ -246,7 +233,7 @@ fn sharded(name: &str, ending: &str) -> String {
     path
 }
 
-/// Moves a file to its place for good: the name is durable too.
+/// Moves a file to its final place and makes the name durable.
 fn place(from: &Path, to: &Path) -> fsx::Result<()> {
     let made = fsx::rename_into(from, to)?;
     if let Some(folder) = to.parent() {
@@ -258,7 +245,7 @@ fn place(from: &Path, to: &Path) -> fsx::Result<()> {
     Ok(())
 }
 
-/// Serialising to memory fails only where a number is not finite; the message still names the file that was meant.
+/// Serialising to memory fails only for a number that is not finite; the message still names the file.
 fn in_memory(path: &Path) -> impl FnOnce(serde_json::Error) -> FsError {
     let path = path.to_owned();
     move |error| FsError { action: "write", path, source: error.into() }

@@ -1,4 +1,4 @@
-//! Runs that were: what their folders under `runs-v1` say of them. Lines that cannot be read are passed over.
+//! Past runs, from their folders under `runs-v1`. Invalid lines are skipped.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ use super::run::begun_at;
 use super::{Key, Store, StoreError};
 use crate::fsx::{self, Lock};
 
-/// A run as its folder tells it.
+/// A run, from its folder.
 #[derive(Clone, Debug)]
 pub struct PastRun {
     /// Its name, which sorts by time.
@@ -22,32 +22,32 @@ pub struct PastRun {
     pub pipeline: String,
     /// The profile.
     pub profile: String,
-    /// When it began, by the clock of then.
+    /// When it started, by the clock at the time.
     pub began: SystemTime,
-    /// The manifest as it is.
+    /// The manifest.
     pub manifest: Value,
-    /// What became of each stage that it tells of, by id.
+    /// The outcome of each stage in its event log, by id.
     pub stages: BTreeMap<String, StageOfRun>,
-    /// How it ended; `None` while it goes on, or where it died.
+    /// How it ended; `None` while it is running, or where it died.
     pub end: Option<RunEnd>,
-    /// True while its process lives.
+    /// True while its process is alive.
     pub alive: bool,
 }
 
-/// What became of a stage in a run.
+/// The outcome of a stage in a run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StageOfRun {
-    /// Its key, where it was known.
+    /// Its key, if it was known.
     pub key: Option<Key>,
-    /// What became of it.
+    /// Its outcome.
     pub fate: Fate,
-    /// When that was told, in seconds since the run began.
+    /// When that was logged, in seconds since the run started.
     pub at: f64,
-    /// How long it ran, where it finished.
+    /// Its duration, if it finished.
     pub seconds: Option<f64>,
     /// Why it failed.
     pub error: Option<String>,
-    /// Why it ran, as the run told it.
+    /// Why it ran, from the event log.
     pub why: Vec<Value>,
 }
 
@@ -56,13 +56,13 @@ pub struct StageOfRun {
 pub enum Fate {
     /// It was cached.
     Cached,
-    /// It was started, and no end is told: it runs, or died with the run.
+    /// It was started and no end was logged: it is running, or died with the run.
     Started,
     /// It ran and finished.
     Ran,
     /// It failed.
     Failed,
-    /// It could not run, because one before it failed.
+    /// It could not run because a stage upstream failed.
     Skipped,
     /// It was stopped.
     Stopped,
@@ -90,13 +90,13 @@ impl Fate {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 #[serde(default)]
 pub struct RunEnd {
-    /// Stages whose record was there.
+    /// Cache hits.
     pub cached: usize,
     /// Stages that ran and finished.
     pub ran: usize,
     /// Stages that failed.
     pub failed: usize,
-    /// Stages that one before them kept from running.
+    /// Stages that were skipped because a stage upstream failed.
     pub skipped: usize,
     /// Stages that were stopped or never started.
     pub stopped: usize,
@@ -118,10 +118,7 @@ struct Line {
 }
 
 impl Store {
-    /// The names of all runs, the latest first.
-    ///
-    /// # Errors
-    /// The store cannot be read.
+    /// The names of all runs, latest first.
     pub fn run_ids(&self) -> Result<Vec<String>, StoreError> {
         let mut paths = fsx::list(&self.root().join("runs-v1"))?;
         paths.reverse();
@@ -129,7 +126,7 @@ impl Store {
         Ok(paths.iter().filter_map(name).filter(|id| begun_at(id).is_some()).collect())
     }
 
-    /// What there is of a run.
+    /// Reads a run.
     ///
     /// # Errors
     /// Its folder cannot be read.
@@ -157,7 +154,7 @@ impl Store {
         Ok(run)
     }
 
-    /// True while the process of that run lives.
+    /// True while the process of that run is alive.
     pub fn is_alive(&self, id: &str) -> bool {
         matches!(Lock::is_held(&self.root().join("tmp").join(format!("{id}.lock"))), Ok(true))
     }
@@ -167,17 +164,14 @@ impl Store {
         matches!(Lock::is_held(&self.root().join("locks-v1").join(key.hex())), Ok(true))
     }
 
-    /// When the record of a key was written, by the clock of then; `None` where there is none.
-    ///
-    /// # Errors
-    /// The store cannot be read.
+    /// When the record of a key was written; `None` where there is none.
     pub fn made_at(&self, key: &Key) -> Result<Option<SystemTime>, StoreError> {
         Ok(fsx::modified(&self.record_path(key))?)
     }
 }
 
 impl PastRun {
-    /// The log of a stage that this run started; `None` where it started none of that name.
+    /// The log of a stage that this run started; `None` where it did not start it.
     pub fn log_of(&self, stage: &str) -> Option<PathBuf> {
         let ending = format!("-{}.log", self.stages.get(stage)?.key?.short());
         let logs = fsx::list(&self.folder.join("logs")).unwrap_or_default();
@@ -186,7 +180,7 @@ impl PastRun {
         logs.into_iter().find(|path| is_of(path))
     }
 
-    /// When something that it told `at` so many seconds happened.
+    /// The time of an event `at` this many seconds.
     pub fn time(&self, at: f64) -> SystemTime {
         self.began + Duration::try_from_secs_f64(at).unwrap_or_default()
     }

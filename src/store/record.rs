@@ -1,4 +1,4 @@
-//! What was made, from what: the one file per key that says that a stage is done.
+//! The record of a key: the file that says that a stage is done, what it was made from, and its outputs.
 
 use std::collections::BTreeMap;
 
@@ -8,15 +8,15 @@ use serde_json::Value;
 
 use super::Digest;
 
-/// The version of the record format; it also stands in the name of the records' folder.
+/// The version of the record format; it is also part of the folder's name.
 pub const RECORD_VERSION: u32 = 1;
 
-/// One piece of finished work: all that went into its key, and what came out.
+/// A finished stage: everything that entered its key, and its outputs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Record {
     /// [`RECORD_VERSION`].
     pub version: u32,
-    /// The stage instance that first made it; for people, never part of the key.
+    /// The stage instance that first built it; for people, never part of the key.
     pub stage: String,
     /// The kind's name.
     pub kind: String,
@@ -24,16 +24,16 @@ pub struct Record {
     pub revision: u32,
     /// Normalised parameters.
     pub params: Value,
-    /// The seed; `None` where the kind draws no random number.
+    /// The seed; `None` where the kind is not seeded.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seed: Option<u64>,
-    /// What was wired to each input.
+    /// The artifacts of each input.
     pub inputs: Vec<RecordInput>,
-    /// What came out, by output name.
+    /// The outputs by name.
     pub outputs: Outputs,
-    /// How long the stage's process ran.
+    /// The duration of the stage's process.
     pub seconds: f64,
-    /// What made it; never part of the key.
+    /// What built it; never part of the key.
     pub fingerprint: Fingerprint,
 }
 
@@ -43,21 +43,21 @@ pub type Outputs = BTreeMap<String, Stored>;
 /// An artifact in the store.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Stored {
-    /// The name of its content.
+    /// The digest of its content.
     pub digest: Digest,
     /// Its size.
     pub bytes: u64,
-    /// The ending that its output declares, without the dot.
+    /// The file extension that its output declares, without the dot.
     pub extension: String,
-    /// True for a folder: the content is then the list of its files (see [`Store::contents`](super::Store::contents)).
+    /// True for a folder: the blob is then the list of its files (see [`Store::contents`](super::Store::contents)).
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub folder: bool,
-    /// True for a file that may be executed; those of a folder are marked in its list.
+    /// True for an executable file; files of a folder are marked in its list.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub executable: bool,
 }
 
-/// What was wired to one input.
+/// The artifacts of one input.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RecordInput {
     /// The input's name.
@@ -68,35 +68,35 @@ pub struct RecordInput {
     pub items: Vec<RecordItem>,
 }
 
-/// One artifact at an input.
+/// One artifact of an input.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RecordItem {
-    /// Where it came from, as `dril[policy=beta].peak` or `file reference/table22.csv`; for people, never part of the key.
+    /// Its origin, as `dril[policy=beta].peak` or `file reference/table22.csv`; for people, never part of the key.
     pub from: String,
     /// Its labels.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub labels: Labels,
-    /// The name of its content.
+    /// The digest of its content.
     pub digest: Digest,
-    /// True where it may be executed and the stage can make use of that: it is part of the key then.
+    /// True where it is executable and the stage can execute it: this is part of the key.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub executable: bool,
 }
 
-/// What made a record.
+/// The program and platform that built a record.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Fingerprint {
     /// The version of this program.
     pub tool: String,
     /// Operating system and processor architecture, as `linux x86_64`.
     pub platform: String,
-    /// What the stage says it was computed with: libraries and instruction sets that other machines may have otherwise.
+    /// What the stage was computed with: versions of libraries and instruction sets, which may differ between machines.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub with: BTreeMap<String, String>,
 }
 
 impl Fingerprint {
-    /// Of the running program.
+    /// The fingerprint of the running program.
     pub fn current() -> Self {
         Self {
             tool: env!("CARGO_PKG_VERSION").to_owned(),

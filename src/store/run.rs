@@ -1,5 +1,5 @@
-//! One run's own places in the store: its folder with manifest, events and logs, and a private folder for what is not
-//! finished. The private folder of a run that died is removed by the next one.
+//! The folders of a run: one with manifest, events and logs, and a private one for unfinished work. The private folder of a run
+//! that died is removed by the next one.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -10,27 +10,24 @@ use serde_json::Value;
 use super::{Store, StoreError};
 use crate::fsx::{self, Lock};
 
-/// Folders that a run needs; those for blobs and records are made as they fill.
+/// Folders that a run needs; those for blobs and records are created when needed.
 const FOLDERS: [&str; 3] = ["locks-v1", "checkpoints-v1", "tmp"];
 
-/// So many small folders are left for the end of the run, each of at most so many bytes in files.
+/// The number of small folders that are removed at the end of the run instead of at once, and their maximum size in bytes.
 const LEFT: (usize, u64) = (2_000, 64 << 10);
 
-/// A run that is going on.
+/// A current run.
 #[derive(Debug)]
 pub struct Run {
     folder: PathBuf,
     temporary: PathBuf,
     lock: Option<Lock>,
-    /// Folders that were cleared and left.
+    /// Folders that are left for the end of the run.
     left: AtomicUsize,
 }
 
 impl Store {
-    /// Begins a run: makes its folders, writes its manifest, and removes what dead runs left.
-    ///
-    /// # Errors
-    /// The store cannot be written.
+    /// Begins a run: creates its folders, writes its manifest, and removes what dead runs left behind.
     pub fn begin_run(&self, manifest: &Value) -> Result<Run, StoreError> {
         if self.root().to_str().is_none() {
             return Err(StoreError::NotText(self.root().to_owned()));
@@ -44,31 +41,31 @@ impl Store {
         fsx::write(&folder.join("run.json"), manifest.to_string().as_bytes())?;
         let tmp = self.root().join("tmp");
         let temporary = tmp.join(&id);
-        // Whoever makes or removes a private folder holds the gate: else a new folder could be taken for a dead one
-        // before its lock is there.
+        // Creating and removing private folders needs the gate: otherwise a new folder could be mistaken for a dead one before
+        // its lock exists.
         let gate = Lock::acquire(&tmp.join("gate"))?;
         remove_dead(&tmp);
         let lock = Lock::try_acquire(&lock_path(&temporary))?;
         fsx::create_dir(&temporary)?;
         drop(gate);
-        // Made by taking it shared: whoever removes things has it alone, and waits for nobody who never took it.
+        // Taking the lock in shared mode creates its file, so that `gc` can take it exclusively.
         fsx::open_append(&self.root().join("gc.lock"))?;
         Ok(Run { folder, temporary, lock, left: AtomicUsize::new(0) })
     }
 }
 
 impl Run {
-    /// Its folder, which stays: `run.json`, `events.jsonl`, `logs/`.
+    /// Its permanent folder: `run.json`, `events.jsonl`, `logs/`.
     pub fn folder(&self) -> &Path {
         &self.folder
     }
 
-    /// Its private folder, which goes with it.
+    /// Its private folder, which is removed at the end of the run.
     pub fn temporary(&self) -> &Path {
         &self.temporary
     }
 
-    /// The log of a stage; `stem` is made fit for a file name.
+    /// The path of a stage's log; characters of `stem` that file names cannot have are replaced.
     pub fn log(&self, stem: &str) -> PathBuf {
         let name: String = stem
             .chars()
@@ -78,23 +75,20 @@ impl Run {
         self.folder.join("logs").join(format!("{name}.log"))
     }
 
-    /// Removes a folder in the private one that is needed no more: at once, or, where it is small, with the run. A file
-    /// system may step over every place that was lately freed when it makes a file (ext4 does, for some seconds), so
-    /// that ever more removals during a run would make every stage slower than the last one.
+    /// Removes a folder in the private one that is no longer needed: at once or, if it is small, at the end of the run. Some file
+    /// systems skip recently freed inodes when they create a file (ext4 does, for some seconds), so many removals during a run
+    /// would make every stage slower than the one before.
     pub fn clear(&self, folder: &Path) {
         let small = self.left.load(Ordering::Relaxed) < LEFT.0 && fsx::holds_at_most(folder, LEFT.1);
         if small {
             self.left.fetch_add(1, Ordering::Relaxed);
         } else {
-            // Garbage that stays behind is removed with the run's folder.
+            // What cannot be removed now is removed with the run's folder.
             let _ = fsx::remove_dir_all(folder);
         }
     }
 
-    /// Appends lines to the run's events.
-    ///
-    /// # Errors
-    /// They cannot be written.
+    /// Appends lines to the run's event log.
     pub fn append_events(&self, lines: &[u8]) -> Result<(), StoreError> {
         Ok(fsx::append(&self.folder.join("events.jsonl"), lines)?)
     }
@@ -117,8 +111,8 @@ fn lock_path(temporary: &Path) -> PathBuf {
     path.into()
 }
 
-/// Removes private folders whose owner is dead. Another user's, or one into which a dying stage still writes, may
-/// refuse; the next run tries again.
+/// Removes private folders of dead runs. This can fail for another user's folder, or while a dying stage still writes; the next
+/// run tries again.
 pub(super) fn remove_dead(tmp: &Path) {
     let Ok(entries) = fsx::list(tmp) else { return };
     for path in entries {
@@ -203,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn a_new_run_removes_what_a_dead_one_left_and_nothing_of_a_living_one() {
+    fn a_new_run_removes_the_folders_of_dead_runs_and_not_of_living_ones() {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(folder.path()).unwrap();
         let living = store.begin_run(&Value::Null).unwrap();

@@ -1,9 +1,9 @@
-//! What files from outside contained when they were last hashed, so that an unchanged file costs a look and not a read.
+//! A cache of the digests of files from outside, so that an unchanged file is not read again.
 //!
-//! An entry counts only while all that the file system says of the file is the same, and only if the file was at rest when
-//! it was hashed: a change right after hashing can leave size and times as they were, since the clock of a file system is
-//! coarse. So a file that had been touched less than [`REST`] before is hashed again the next time (git's "racily clean").
-//! The cache is advice: a lost or damaged file costs time, never a result.
+//! An entry is valid only while all metadata of the file is the same, and only if the file was at rest when it was hashed: a
+//! change right after hashing can leave size and times the same, since the clock of a file system is coarse. So a file that was
+//! modified less than [`REST`] before is hashed again next time (git calls this "racily clean"). If the cache is lost or damaged,
+//! this costs time, never a result.
 
 use std::collections::HashMap;
 use std::os::unix::ffi::OsStrExt;
@@ -15,19 +15,18 @@ use serde::{Deserialize, Serialize};
 use super::{Digest, Store, StoreError};
 use crate::fsx::{self, Stat};
 
-/// The coarsest clock of a file system in use: FAT counts in two seconds.
+/// The coarsest clock of a file system in use: FAT has a resolution of two seconds.
 const REST: i64 = 2_000_000_000;
-/// More entries than this are not kept.
+/// The maximum number of entries.
 const MOST: usize = 500_000;
-/// What took less work than this is not written down, so that small pipelines leave no file behind that changes with
-/// every edit.
+/// Less work than this is not cached, so that small pipelines do not write a file that changes with every edit.
 const WORTH: (usize, u64) = (64, 1 << 20);
 
 /// The files of a store's pipelines, by absolute path.
 #[derive(Debug, Default)]
 pub struct Stats {
     known: HashMap<PathBuf, Entry>,
-    /// Hashed since it was read: files, and their bytes.
+    /// Files and bytes that were hashed since the cache was read.
     learned: (usize, u64),
 }
 
@@ -39,18 +38,18 @@ struct Entry {
     digest: Digest,
 }
 
-/// An entry as it is stored, one line each. Numbers are texts in no way: a line is a JSON list.
+/// An entry as stored: one JSON list per line.
 #[derive(Serialize, Deserialize)]
 struct Line<'a>(#[serde(borrow)] std::borrow::Cow<'a, str>, u64, u64, u64, i64, i64, bool, i64, Digest);
 
-/// Now, in nanoseconds since 1970, as entries count.
+/// Now, in nanoseconds since 1970.
 pub(crate) fn now() -> i64 {
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     i64::try_from(now.as_nanos()).unwrap_or(i64::MAX)
 }
 
 impl Store {
-    /// Reads the cache; an empty one where there is none that can be read.
+    /// Reads the cache; an empty one where there is none or it cannot be read.
     pub fn stats(&self) -> Stats {
         let bytes = fsx::read_if_there(&self.stats_path()).ok().flatten().unwrap_or_default();
         let mut stats = Stats::default();
@@ -65,15 +64,12 @@ impl Store {
         stats
     }
 
-    /// Writes what was learned, where that was work.
-    ///
-    /// # Errors
-    /// The store cannot be written.
+    /// Writes new entries, if hashing them was enough work.
     pub fn keep_stats(&self, stats: &Stats) -> Result<(), StoreError> {
         if stats.learned.0 < WORTH.0 && stats.learned.1 < WORTH.1 {
             return Ok(());
         }
-        // Another process may have learned something too; of two, the one that hashed later knows better.
+        // Another process may have added entries; of two, the later one is right.
         let mut all = self.stats().known;
         for (path, entry) in &stats.known {
             match all.get(path) {
@@ -86,7 +82,7 @@ impl Store {
         entries.truncate(MOST);
         let mut bytes = Vec::new();
         for (path, Entry { stat, hashed, digest }) in entries {
-            // A path that is no text is hashed each time.
+            // A path that is not UTF-8 is not cached.
             let Some(path) = path.to_str() else { continue };
             let Stat { device, inode, bytes: size, modified, changed, executable } = *stat;
             let line =
@@ -108,14 +104,14 @@ impl Store {
 }
 
 impl Stats {
-    /// The content of a file that is as it was when it was hashed.
+    /// The digest of a file whose metadata has not changed since it was hashed.
     pub fn digest(&self, path: &Path, stat: &Stat) -> Option<Digest> {
         let entry = self.known.get(path).filter(|entry| entry.stat == *stat)?;
         let touched = stat.modified.max(stat.changed);
         (touched.saturating_add(REST) < entry.hashed).then_some(entry.digest)
     }
 
-    /// Notes the content of a file that was hashed from `hashed` on, and was the same before and after.
+    /// Adds the digest of a file that was hashed from `hashed` on, with the same metadata before and after.
     pub fn learn(&mut self, path: &Path, stat: Stat, hashed: i64, digest: Digest) {
         self.known.insert(path.to_owned(), Entry { stat, hashed, digest });
         self.learned.0 += 1;

@@ -1,5 +1,5 @@
-//! Removing what is not needed: results that are old or too many, checkpoints of finished work, logs, leftovers. What a
-//! living run uses stays, whatever is asked for.
+//! Garbage collection: removes old results, checkpoints of finished stages, logs and leftovers. What a running process uses is
+//! never removed.
 
 use std::collections::{HashMap, HashSet};
 use std::path::Path;
@@ -13,52 +13,49 @@ use crate::fsx::{self, Entry, Lock};
 /// What to remove.
 #[derive(Clone, Debug, Default)]
 pub struct Sweep {
-    /// Results of these keys stay.
+    /// Keys whose results are kept.
     pub keep: HashSet<Key>,
-    /// Results that nobody used for longer go; so do checkpoints, logs and quarantined files of that age.
+    /// Removes results that were not used for this long, and checkpoints, logs and quarantined files of that age.
     pub older_than: Option<Duration>,
-    /// Then the least recently used results go, until contents take no more bytes than this.
+    /// Then removes the least recently used results until the blobs are at most this many bytes.
     pub max_bytes: Option<u64>,
-    /// Only says what would be removed.
+    /// Removes nothing, and only reports.
     pub dry_run: bool,
 }
 
 /// What was removed, or would be.
 #[derive(Clone, Debug, Default)]
 pub struct Swept {
-    /// Results: key, the stage that made it, and when it was last used.
+    /// Results: key, the stage that built it, and when it was last used.
     pub records: Vec<(Key, String, SystemTime)>,
-    /// Contents.
+    /// Blobs.
     pub blobs: usize,
     /// Folders of checkpoints.
     pub checkpoints: usize,
     /// Folders of runs, with their logs.
     pub runs: usize,
-    /// Bytes that were freed.
+    /// Freed bytes.
     pub freed: u64,
-    /// Bytes of contents that stay.
+    /// Bytes of remaining blobs.
     pub left: u64,
-    /// Results that would have gone, but living runs use them.
+    /// Results that would have been removed, but a running process uses them.
     pub in_use: usize,
-    /// True where more stays than was allowed: all the rest is kept or in use.
+    /// True where more than the maximum size remains, because all of it is kept or in use.
     pub too_much: bool,
 }
 
-/// A result, as far as it matters here.
+/// A result, with what matters here.
 struct Result_ {
     key: Key,
     record: Record,
-    /// All that its outputs are made of.
+    /// All blobs of its outputs.
     contents: Vec<Digest>,
     used: SystemTime,
     goes: bool,
 }
 
 impl Store {
-    /// All records that can be read.
-    ///
-    /// # Errors
-    /// The store cannot be read.
+    /// All valid records.
     pub fn records(&self) -> Result<Vec<(Key, Record)>, StoreError> {
         let mut all = Vec::new();
         for (_, name) in self.sharded_files("records-v1")? {
@@ -72,10 +69,10 @@ impl Store {
         Ok(all)
     }
 
-    /// Removes what is not needed. Living runs go on meanwhile; they wait for a moment where they look results up.
+    /// Collects garbage. Current runs continue; they only wait where they look results up.
     ///
     /// # Errors
-    /// The store cannot be read or written; what was removed until then is gone.
+    /// The store cannot be read or written; what was removed until then stays removed.
     pub fn sweep(&self, wish: &Sweep) -> Result<Swept, StoreError> {
         if fsx::entry(self.root())?.is_none() {
             return Ok(Swept::default());
@@ -97,8 +94,8 @@ impl Store {
         Ok(swept)
     }
 
-    /// Every result with when it was last used, the least recently used first. A pipeline's history file is touched by
-    /// every run, so what is current in it counts as used then.
+    /// Every result with the time of its last use, least recently used first. Every run touches the history file of its pipeline,
+    /// so its current results count as used then.
     fn results(&self) -> Result<Vec<Result_>, StoreError> {
         let mut used: HashMap<Key, SystemTime> = HashMap::new();
         for path in fsx::list(&self.root().join("history-v1"))? {
@@ -171,7 +168,7 @@ impl Store {
         swept.too_much = wish.max_bytes.is_some_and(|limit| total > limit);
     }
 
-    /// Removes contents that no result which stays has made, and that came from outside for none.
+    /// Removes blobs that no remaining result contains or was made from.
     fn sweep_blobs(
         &self,
         wish: &Sweep,
@@ -201,7 +198,7 @@ impl Store {
         Ok(())
     }
 
-    /// Checkpoints, runs, quarantined files, and locks and folders of the dead.
+    /// Removes checkpoints, runs, quarantined files, and locks and folders of dead runs.
     fn sweep_rest(
         &self,
         wish: &Sweep,
@@ -245,7 +242,7 @@ impl Store {
                 }
             }
             if !swept.records.is_empty() {
-                // Notes of what is there, part of which is not any more.
+                // These list results, some of which may have been removed.
                 fsx::remove_dir_all(&self.root().join("settled-v1"))?;
             }
             for path in fsx::list(&self.root().join("locks-v1"))? {

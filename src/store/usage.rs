@@ -1,4 +1,4 @@
-//! What takes room in a store, and for whom.
+//! Disk usage of a store.
 
 use std::collections::{BTreeMap, HashSet};
 use std::path::Path;
@@ -15,20 +15,19 @@ pub struct Room {
     pub bytes: u64,
 }
 
-/// What takes room.
+/// Disk usage.
 #[derive(Clone, Debug, Default)]
 pub struct Usage {
     /// By folder of the store.
     pub folders: BTreeMap<String, Room>,
-    /// By kind and stage: records, and the bytes of contents that they name. A content that several stages have counts
-    /// for the first of them.
+    /// By kind and stage: records, and the bytes of their blobs. A blob of several stages counts for the first.
     pub stages: BTreeMap<(String, String), Room>,
-    /// Contents that no record names as an output: files from outside, and leftovers of crashes.
+    /// Blobs that are no output of any record: files from outside, and leftovers of crashes.
     pub unnamed: Room,
 }
 
 impl Usage {
-    /// All of it.
+    /// The total.
     pub fn bytes(&self) -> u64 {
         self.folders.values().map(|room| room.bytes).sum()
     }
@@ -36,9 +35,6 @@ impl Usage {
 
 impl Store {
     /// Measures the store.
-    ///
-    /// # Errors
-    /// It cannot be read.
     pub fn usage(&self) -> Result<Usage, StoreError> {
         let mut usage = Usage::default();
         for path in fsx::list(self.root())? {
@@ -70,7 +66,7 @@ impl Store {
     }
 }
 
-/// Files and bytes at a path and below it; links are not followed, and what vanishes meanwhile counts nothing.
+/// Files and bytes at a path and below; links are not followed, and files that disappear meanwhile are not counted.
 pub(super) fn measure(path: &Path) -> fsx::Result<Room> {
     let mut room = Room::default();
     match fsx::entry(path)? {

@@ -1,4 +1,4 @@
-//! Whether what is in the store is what its names say: every content hashed, every record read, its key computed anew.
+//! Verifies the store: hashes every blob, reads every record, and computes its key again.
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -8,31 +8,31 @@ use rayon::prelude::*;
 use super::{Digest, Found, Key, KeyOf, Store, StoreError, hash_file};
 use crate::fsx::{self, Entry};
 
-/// Something in the store that is not what its name says.
+/// Damage in the store.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Damage {
-    /// A content that is not the one of its name.
+    /// A blob that does not match its digest.
     WrongContent {
         /// Its file.
         path: PathBuf,
-        /// The content that it has.
+        /// The digest that it has.
         seen: Digest,
     },
-    /// A content that cannot be read.
+    /// A blob that cannot be read.
     Unreadable {
         /// Its file.
         path: PathBuf,
         /// The system's answer.
         error: String,
     },
-    /// A content that anybody may write into. Mended by taking that right away.
+    /// A writable blob. Repaired by making it read-only.
     Writable {
         /// Its file.
         path: PathBuf,
     },
-    /// Something that no content or record is called like.
+    /// A file with a name that no blob or record has.
     Stray {
-        /// Where.
+        /// Its path.
         path: PathBuf,
     },
     /// A record that cannot be read, or belongs to another key.
@@ -42,11 +42,11 @@ pub enum Damage {
         /// What is wrong with it.
         error: String,
     },
-    /// A record whose output is not there in full.
+    /// A record with a missing or incomplete output.
     LostOutput {
         /// Its file.
         path: PathBuf,
-        /// The stage that made it.
+        /// Its stage.
         stage: String,
         /// The output.
         output: String,
@@ -66,41 +66,41 @@ impl Damage {
         }
     }
 
-    /// What is wrong, in words.
+    /// A description.
     pub fn text(&self) -> String {
         match self {
             Self::WrongContent { seen, .. } => {
-                format!("has another content than its name says: {}", seen.short())
+                format!("does not match its digest: its content is {}", seen.short())
             }
             Self::Unreadable { error, .. } => format!("cannot be read: {error}"),
-            Self::Writable { .. } => "can be written, expected a read-only file".to_owned(),
-            Self::Stray { .. } => "has no place in the store".to_owned(),
-            Self::BadRecord { error, .. } => format!("is no record: {error}"),
+            Self::Writable { .. } => "is writable, expected a read-only file".to_owned(),
+            Self::Stray { .. } => "does not belong in the store".to_owned(),
+            Self::BadRecord { error, .. } => format!("is not a valid record: {error}"),
             Self::LostOutput { stage, output, .. } => {
-                format!("is the record of `{stage}`, whose output `{output}` is not there in full")
+                format!("is the record of `{stage}`, whose output `{output}` is missing or incomplete")
             }
         }
     }
 }
 
-/// What came of looking through a store.
+/// The result of verifying a store.
 #[derive(Clone, Debug, Default)]
 pub struct Verified {
-    /// Contents that were hashed.
+    /// Blobs that were hashed.
     pub blobs: usize,
     /// Their bytes.
     pub bytes: u64,
     /// Records that were read.
     pub records: usize,
-    /// What is wrong, in the order of the paths.
+    /// Damage, sorted by path.
     pub damage: Vec<Damage>,
-    /// How much of it was mended.
-    pub mended: usize,
+    /// The number of repaired entries.
+    pub repaired: usize,
 }
 
 impl Store {
-    /// Hashes every content and reads every record. With `repair`, what is damaged is moved to `quarantine-v1`, where no
-    /// run finds it: the stages that made it run again when they are needed.
+    /// Hashes every blob and reads every record. With `repair`, damaged files are moved to `quarantine-v1`, so that the stages that
+    /// made them run again when needed.
     ///
     /// # Errors
     /// The store cannot be read, or (with `repair`) not be written.
@@ -126,13 +126,13 @@ impl Store {
             let _alone = self.hold_alone()?;
             for damage in &verified.damage {
                 self.mend(damage)?;
-                verified.mended += 1;
+                verified.repaired += 1;
             }
         }
         Ok(verified)
     }
 
-    /// The files two folders deep, with the names that they spell together.
+    /// The files two folders deep, with the names that folder and file form together.
     pub(super) fn sharded_files(&self, folder: &str) -> Result<Vec<(PathBuf, String)>, StoreError> {
         let mut found = Vec::new();
         for shard in fsx::list(&self.root().join(folder))? {
@@ -166,7 +166,7 @@ impl Store {
             Err(error) => return Ok(Some(Damage::BadRecord { path, error: error.to_string() })),
         };
         if key_of(&record) != Some(key) {
-            let error = "it is the record of other work".to_owned();
+            let error = "it is the record of another key".to_owned();
             return Ok(Some(Damage::BadRecord { path, error }));
         }
         let mut lost = self.lost(&record.outputs)?;
@@ -190,7 +190,7 @@ impl Store {
         }
         let name = path.strip_prefix(self.root()).unwrap_or(path).to_string_lossy().replace('/', "-");
         match fsx::rename_into(path, &self.root().join("quarantine-v1").join(name)) {
-            // Somebody was quicker.
+            // Another process was faster.
             Err(error) if error.is_not_found() => Ok(()),
             result => Ok(result.map(drop)?),
         }

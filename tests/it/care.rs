@@ -47,8 +47,12 @@ fn verify_finds_every_sort_of_damage_and_repair_lets_the_next_run_mend_it() {
     let found = parsed(&sealed, "cache verify --json");
     let damage = found["damage"].as_array().unwrap();
     let says = |text: &str| damage.iter().filter(|one| one["what"].as_str().unwrap().contains(text)).count();
-    assert_eq!((says("another content"), says("no place"), says("is no record")), (2, 1, 1), "{found}");
-    assert_eq!(says("not there in full"), 2, "{found}");
+    assert_eq!(
+        (says("does not match"), says("does not belong"), says("not a valid record")),
+        (2, 1, 1),
+        "{found}"
+    );
+    assert_eq!(says("missing or incomplete"), 2, "{found}");
     assert_eq!(sealed.run("cache verify").code, 5);
     assert_eq!(sealed.run("cache verify --repair").code, 0);
     assert_eq!(contents(&sealed, "quarantine-v1").len(), 6, "nothing is deleted");
@@ -235,7 +239,7 @@ fn an_import_believes_nothing_that_it_has_not_hashed() {
     let path = sealed.path("run.zip");
     let forged: [(&str, Vec<u8>); 4] = [
         (
-            "not what its name says",
+            "does not match its name",
             edited(&path, |name, mut bytes| {
                 if name.starts_with("blobs/") {
                     bytes.push(b'!');
@@ -244,7 +248,7 @@ fn an_import_believes_nothing_that_it_has_not_hashed() {
             }),
         ),
         (
-            "record of other work",
+            "its key does not match its name",
             edited(&path, |name, bytes| {
                 let text = String::from_utf8_lossy(&bytes).replace("\"revision\":1", "\"revision\":7");
                 Some((name.to_owned(), if name.starts_with("records/") { text.into_bytes() } else { bytes }))
@@ -255,7 +259,7 @@ fn an_import_believes_nothing_that_it_has_not_hashed() {
             edited(&path, |name, bytes| (!name.starts_with("blobs/")).then(|| (name.to_owned(), bytes))),
         ),
         (
-            "it is no record",
+            "it is not a valid record",
             edited(&path, |name, bytes| {
                 Some((
                     name.to_owned(),
@@ -269,7 +273,7 @@ fn an_import_believes_nothing_that_it_has_not_hashed() {
         let ended = sealed.run(&format!("cache import forged.zip --cache other{number}"));
         assert_eq!(ended.code, 5, "{why}: {ended:?}");
         assert!(ended.stderr.contains(why), "{why}: {}", ended.stderr);
-        assert!(ended.stdout.starts_with("took 0 results"), "{why}: {}", ended.stdout);
+        assert!(ended.stdout.starts_with("imported 0 results"), "{why}: {}", ended.stdout);
         sealed.run_ok(&format!("cache verify --cache other{number}"));
     }
 }
@@ -292,7 +296,7 @@ fn no_name_in_an_archive_becomes_a_path() {
     std::fs::write(sealed.path("hostile.zip"), hostile).unwrap();
     let before = sealed.list(".");
     let ended = sealed.run("cache import hostile.zip --cache cache");
-    assert!(ended.stderr.contains("its name is no key"), "{ended:?}");
+    assert!(ended.stderr.contains("its name is not a key"), "{ended:?}");
     assert_eq!(sealed.list("."), before);
     assert!(!Path::new("/tmp/escaped-from-an-archive").exists());
     assert!(files_below(&sealed.path("cache")).iter().all(|path| !path.contains("escaped")));

@@ -61,7 +61,7 @@ fn a_run_says_what_it_did_and_copies_its_tables() {
     let sealed = Sealed::with(WORDS);
     let said = sealed.normal(&sealed.run_ok("run p.yaml --jobs 2"));
     assert!(
-        said.starts_with("words, profile full: 8 stages, 0 cached, 4 to run, 4 behind; [n] threads\n"),
+        said.starts_with("words, profile full: 8 stages, 0 cached, 4 to run, 4 downstream; [n] threads\n"),
         "{said}"
     );
     assert!(said.contains(" ran     gather in [time] s\n"), "{said}");
@@ -145,7 +145,7 @@ fn a_crash_shows_the_last_lines_of_the_log() {
     let ended = sealed.run("run p.yaml --set b.mishap=crash");
     assert_eq!(ended.code, 1);
     assert!(ended.stderr.contains("SIGABRT"), "{}", ended.stderr);
-    assert!(ended.stderr.contains("  the end of its log:\n    | about to crash\n"), "{}", ended.stderr);
+    assert!(ended.stderr.contains("  last lines of its log:\n    | about to crash\n"), "{}", ended.stderr);
 }
 
 #[test]
@@ -304,7 +304,7 @@ fn equal_stages_are_made_once_and_none_of_them_waits_for_its_own_engine() {
     let sealed = Sealed::with(&sealed.read("p.yaml"));
     let said = sealed.run_ok("run p.yaml --jobs 1");
     assert!(
-        said.contains("cached  b: the same work as a\n") || said.contains("cached  a: the same work as b\n"),
+        said.contains("cached  b: same key as a\n") || said.contains("cached  a: same key as b\n"),
         "{said}"
     );
 }

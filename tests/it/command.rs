@@ -72,8 +72,8 @@ fn outputs_that_are_missing_or_undeclared_fail_the_stage_all_at_once() {
     assert_eq!(
         said,
         "output `a` was not written, expected a file at `a.txt`; output `d` is a folder, expected a file at `d`; \
-         output `f` was not written, expected a folder at `f`; `outputs/c.txt` is no declared output, and only these \
-         belong in `outputs/`: declare it, or write it elsewhere in the working folder, which is removed"
+         output `f` was not written, expected a folder at `f`; `outputs/c.txt` is not a declared output, and `outputs/` \
+         is only for these: declare it, or write it elsewhere in the working folder, which is removed"
     );
     assert!(sealed.list("cache/records-v1").is_empty());
 }
@@ -83,7 +83,7 @@ fn a_failure_names_the_exit_code_and_the_log_has_what_was_printed() {
     let sealed = one("{ shell: \"echo to out; echo to err >&2; exit 3\", outputs: { a: a } }");
     let events = sealed.events("--jobs 2");
     let failed = events.iter().find(|event| event["event"] == "failed").unwrap();
-    assert_eq!(failed["error"], "the shell ended with exit code 3; its log says more");
+    assert_eq!(failed["error"], "the shell ended with exit code 3; see its log");
     let log = std::fs::read_to_string(sealed.path(failed["log"].as_str().unwrap())).unwrap();
     assert!(log.contains("to out\n") && log.contains("to err\n"), "{log}");
     let sealed = one("{ run: [no-such-program, x], outputs: { a: a } }");

@@ -13,7 +13,7 @@ fn when_its_time_is_over_a_run_saves_its_state_and_says_what_is_left() {
     let slow = "run p.yaml --jobs 3 --set count.to=60 --set count.step_millis=40";
     let ended = sealed.run(&format!("{slow} --for 1s"));
     assert_eq!(ended.code, 6, "{ended:?}");
-    assert!(ended.stdout.contains("the time is over"), "{}", ended.stdout);
+    assert!(ended.stdout.contains("time is up"), "{}", ended.stdout);
     assert!(ended.stdout.contains("\n  left: count × 3, gather"), "{}", ended.stdout);
     let events = lines(&sealed.run(&format!("{slow} --json")).stdout);
     let first = events.iter().find(|event| event["event"] == "progress").unwrap();
@@ -88,7 +88,7 @@ fn locked_fails_after_the_run_where_a_result_differs() {
 fn a_stage_that_is_not_deterministic_is_named_with_its_output() {
     let sealed = Sealed::with(WORDS);
     let said = sealed.run_ok("run p.yaml --check-determinism");
-    assert!(said.contains("deterministic: 8 stages gave the same bytes twice\n"), "{said}");
+    assert!(said.contains("deterministic: 8 stages produced the same bytes twice\n"), "{said}");
     let runs: Value = serde_json::from_str(&sealed.run_ok("runs --json")).unwrap();
     assert_eq!(runs.as_array().unwrap().len(), 1, "a check that holds leaves nothing");
     // A result that somebody forged stands for a stage that came out otherwise the first time.
@@ -107,7 +107,8 @@ fn a_stage_that_is_not_deterministic_is_named_with_its_output() {
     std::fs::remove_dir_all(sealed.path("cache/history-v1")).unwrap();
     let ended = sealed.run("run p.yaml --check-determinism");
     assert_eq!(ended.code, 5, "{ended:?}");
-    let expected = "error: stage `apart` gave another output `text`: byte 3 is the first that differs";
+    let expected =
+        "error: stage `apart` produced a different output `text`: the first difference is at byte 3";
     assert!(ended.stderr.contains(expected), "{}", ended.stderr);
     assert!(
         ended.stdout.contains("not deterministic: 1 of 8 stages; the first is `apart`"),

@@ -357,5 +357,5 @@ fn a_store_that_cannot_be_written_ends_the_run_with_an_error() {
         &AtomicBool::new(false),
         &mut |_| {},
     );
-    assert!(error.unwrap_err().to_string().starts_with("cannot make the folder `"));
+    assert!(error.unwrap_err().to_string().starts_with("cannot create the folder `"));
 }

@@ -20,8 +20,8 @@ fn explain_names_the_field_that_made_a_stage_stale_back_to_the_first_cause() {
     sealed.run_ok("run p.yaml");
     let said = sealed.run_ok("explain p.yaml gather --set say.times=2");
     for part in [
-        "gather: runs once others have run",
-        "comes from count[word=one]",
+        "gather: runs after the stages upstream",
+        "from count[word=one]",
         "say[word=one]: will run",
         "times: 1 -> 2",
     ] {
@@ -42,7 +42,7 @@ fn explain_still_tells_after_the_run_why_a_stage_ran() {
     assert!(sealed.run_ok("explain p.yaml").contains("every stage is up to date"));
     sealed.run_ok("run p.yaml --set count.to=5");
     let said = sealed.run_ok("explain p.yaml gather --set count.to=5");
-    assert!(said.contains("gather: up to date, made "), "{said}");
+    assert!(said.contains("gather: up to date since "), "{said}");
     assert!(said.contains("input `parts` differs (count[word=one].count): "), "{said}");
     assert!(said.contains("    to: 2 -> 5\n"), "{said}");
     let json = parsed(&sealed, "explain p.yaml gather --json --set count.to=5");
@@ -116,7 +116,7 @@ fn show_gives_digests_and_provenance_up_to_the_roots() {
     let position = |id: &str| before.iter().position(|other| *other == id).unwrap();
     assert!(position("say[word=one]") < position("count[word=one]"), "roots come first: {before:?}");
     let text = sealed.run_ok("show p.yaml gather");
-    assert!(text.contains("rests on, roots first") && text.contains("joined"), "{text}");
+    assert!(text.contains("upstream, roots first") && text.contains("joined"), "{text}");
     assert!(text.contains(shown["key"].as_str().unwrap()));
 }
 
@@ -125,7 +125,7 @@ fn a_log_is_found_by_the_name_of_its_stage() {
     let sealed = Sealed::with(WORDS);
     sealed.run("run p.yaml --set count.mishap=crash");
     let said = sealed.run_ok("log count[word=one]");
-    assert!(said.contains("about to crash\n") && said.contains("==> it failed: "), "{said}");
+    assert!(said.contains("about to crash\n") && said.contains("==> failed: "), "{said}");
     let paths = sealed.run_ok("log count --path");
     assert_eq!(paths.lines().count(), 3);
     assert!(paths.lines().all(|path| sealed.path(path).is_file()), "{paths}");

@@ -145,7 +145,7 @@ fn only_refuses_what_is_not_cached_and_force_runs_what_is() {
     assert!(ended.stderr.contains("`--only` excludes `a[k=1]` and 1 more"), "{}", ended.stderr);
     sealed.run_ok("run p.yaml");
     let planned = sealed.run_ok("plan p.yaml --force a[k=2]");
-    assert!(planned.contains("asked for by `--force`") && planned.contains("1 stage to run"), "{planned}");
+    assert!(planned.contains("forced by `--force`") && planned.contains("1 stage to run"), "{planned}");
     let said = sealed.run_ok("run p.yaml --force a[k=2]");
     assert!(said.contains("1 ran, 5 cached"), "it ran, and with the same result nothing behind it: {said}");
     assert!(sealed.run_ok("run p.yaml c --only --force c").contains("1 ran"));
@@ -159,9 +159,9 @@ fn a_target_that_means_nothing_is_explained() {
         ("e", "there is no stage `e`"),
         ("a[j=1]", "the stage has no axis `j`"),
         ("a[k=3]", "no instance has `k=3`"),
-        ("a[k]", "names no stage"),
-        ("a --from c", "none of the stages that were asked for depends on those after `--from`"),
-        ("a --force c", "the stages after `--force` are none of those that were asked for"),
+        ("a[k]", "is not a valid stage pattern"),
+        ("a --from c", "none of the target stages is downstream of `--from`"),
+        ("a --force c", "the stages of `--force` are not selected"),
     ] {
         let ended = sealed.run(&format!("plan p.yaml {target}"));
         assert!(ended.code == 2 && ended.stderr.contains(expected), "{target}: {}", ended.stderr);

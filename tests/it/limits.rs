@@ -35,7 +35,7 @@ fn after_the_last_try_the_last_error_is_told() {
     let sealed = sealed("    retries: { times: 1, pause: 0.01s }\n", "mishap: flaky, times: 7");
     let ended = sealed.run("run p.yaml");
     assert_eq!(ended.code, 1, "{ended:?}");
-    assert!(ended.stdout.contains("again   a in 0.01 s (1 of 1): try 1 is none"), "{}", ended.stdout);
+    assert!(ended.stdout.contains("retry   a in 0.01 s (1 of 1): try 1 is none"), "{}", ended.stdout);
     assert!(ended.stderr.contains("`a` failed: try 2 is none of the good ones"), "{}", ended.stderr);
 }
 

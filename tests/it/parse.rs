@@ -58,7 +58,7 @@ fn ten_thousand_problems_are_cut_short() {
     let stages: String = (0..10_000).map(|n| format!("  s{n}: {{ kind: trian }}\n")).collect();
     let said = read(format!("name: sample\nstages:\n{stages}").as_bytes(), &[]).unwrap_err();
     assert_eq!(said.iter().count(), 100);
-    assert!(said.to_string().ends_with("more; mend these first\n"));
+    assert!(said.to_string().ends_with("more problems; fix these first\n"));
 }
 
 /// Words of the language, so that random texts get past the first line.

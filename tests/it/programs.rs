@@ -98,7 +98,7 @@ fn a_content_that_was_damaged_in_the_store_is_given_to_no_program_and_made_again
     let said = run_file(&sealed, "p.yaml");
     assert_eq!(said.code, 1, "{said:?}");
     assert!(
-        said.stderr.contains("input `d` cannot be read") && said.stderr.contains("was damaged"),
+        said.stderr.contains("input `d` cannot be read") && said.stderr.contains("is damaged"),
         "{}",
         said.stderr
     );
@@ -285,7 +285,9 @@ fn two_files_of_one_name_do_not_remove_each_others_results() {
     assert_eq!(run_file(&sealed, "link.yaml").code, 0);
     sealed.write("moved.yaml", &file("third"));
     assert!(
-        run_file(&sealed, "moved.yaml").stdout.contains("removed, as nothing makes them any more: first.csv")
+        run_file(&sealed, "moved.yaml")
+            .stdout
+            .contains("removed, because no stage makes them any more: first.csv")
     );
 }
 
@@ -356,7 +358,7 @@ fn what_programs_and_editors_leave_beside_the_code_runs_nothing_again() {
     sealed.write("p.yaml", &import(", exclude: [\"[\"]"));
     let refused = run_file(&sealed, "p.yaml");
     assert_eq!(refused.code, 3, "{refused:?}");
-    assert!(refused.stderr.contains("is no glob"), "{}", refused.stderr);
+    assert!(refused.stderr.contains("is not a valid glob"), "{}", refused.stderr);
 }
 
 #[test]
@@ -441,7 +443,7 @@ fn a_variable_that_is_no_text_is_named_and_may_be_passed_on() {
     };
     let refused = run(&with("env"));
     assert_eq!(refused.code, 3, "{refused:?}");
-    assert!(refused.stderr.contains("`WHO`, whose value is no UTF-8 text"), "{}", refused.stderr);
+    assert!(refused.stderr.contains("`WHO`, whose value is not UTF-8"), "{}", refused.stderr);
     let sealed = with("pass_env");
     assert_eq!(run(&sealed).code, 0);
     assert_eq!(sealed.read("results/p-default/s.csv").trim(), "4a fc 72 67 65 6e");

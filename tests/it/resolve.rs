@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use dril_pipe::resolve::{Choices, From, Graph, StageInstance, resolve};
+use dril_pipe::resolve::{Choices, Graph, Origin, StageInstance, resolve};
 use dril_pipe::spec::{Diagnostics, SourceName, parse};
 use dril_stage_api::Seed;
 use proptest::prelude::*;
@@ -47,8 +47,8 @@ fn wired(graph: &Graph, id: &str, port: &str) -> Vec<(String, BTreeMap<String, S
     let sources = wire.map(|wire| wire.sources.as_slice()).unwrap_or_default();
     let shown = sources.iter().map(|source| {
         let from = match &source.from {
-            From::Stage { stage, output } => format!("{}.{output}", graph.stages[*stage].id),
-            From::File { path, .. } => path.clone(),
+            Origin::Stage { stage, output } => format!("{}.{output}", graph.stages[*stage].id),
+            Origin::File { path, .. } => path.clone(),
         };
         (from, source.labels.clone())
     });
@@ -267,7 +267,7 @@ fn a_fan_in_takes_lists_names_and_files() {
 #[test]
 fn a_file_knows_where_the_pipeline_file_names_it() {
     let graph = graph("stages:\n  table: { kind: tabulate, inputs: { scores: { file: a.csv } } }");
-    let From::File { path, place, .. } = &instance(&graph, "table").inputs[0].sources[0].from else {
+    let Origin::File { path, place, .. } = &instance(&graph, "table").inputs[0].sources[0].from else {
         panic!()
     };
     assert_eq!((path.as_str(), place.as_str()), ("a.csv", "sample.yaml:3:54"));

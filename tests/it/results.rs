@@ -24,7 +24,7 @@ fn a_table_that_nothing_makes_any_more_is_removed() {
     assert_eq!(sealed.list(FOLDER), [".dril-pipe.json", "first.md", "second.md"]);
     sealed.write("p.yaml", ONE);
     let said = sealed.run_ok("run p.yaml");
-    assert!(said.contains("removed, as nothing makes them any more: second.md\n"), "{said}");
+    assert!(said.contains("removed, because no stage makes them any more: second.md\n"), "{said}");
     assert_eq!(sealed.list(FOLDER), [".dril-pipe.json", "first.md"]);
 }
 
@@ -65,7 +65,7 @@ stages:
     sealed.run_ok("run p.yaml");
     let ended = sealed.run("run p.yaml --set a.mishap=fail");
     assert_eq!(ended.code, 1);
-    let expected = "results: results/two-default (1 file)\n  of an earlier run, as their stages were not asked for or did not finish: first.md\n";
+    let expected = "results: results/two-default (1 file)\n  from an earlier run, because their stages were not selected or did not finish: first.md\n";
     assert!(ended.stdout.contains(expected), "{}", ended.stdout);
     assert_eq!(sealed.list(FOLDER), [".dril-pipe.json", "first.md"]);
 }

@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use dril_pipe::resolve::{From, Graph, Source, StageInstance, Wire};
+use dril_pipe::resolve::{Graph, Origin, Source, StageInstance, Wire};
 use dril_stage_api::{Labels, Seed};
 use petgraph::graph::{DiGraph, NodeIndex};
 use serde::{Deserialize, Serialize};
@@ -98,7 +98,7 @@ pub fn graph(stages: &[StageLine]) -> Graph {
         index.insert(&line.name, node);
         let wires = wires(line, &graph, &index);
         for source in wires.iter().flat_map(|wire| &wire.sources) {
-            if let From::Stage { stage, .. } = source.from
+            if let Origin::Stage { stage, .. } = source.from
                 && !graph.contains_edge(stage, node)
             {
                 graph.add_edge(stage, node, ());
@@ -123,10 +123,10 @@ fn wires(
             let (from, name) = match part {
                 Part::Stage(name) => {
                     let stage = index[name.as_str()];
-                    (From::Stage { stage, output: graph[stage].ports.outputs[0].name }, name)
+                    (Origin::Stage { stage, output: graph[stage].ports.outputs[0].name }, name)
                 }
                 Part::File(path) => (
-                    From::File {
+                    Origin::File {
                         path: path.clone(),
                         place: "scenario:1:1".into(),
                         folder: false,

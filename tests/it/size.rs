@@ -15,8 +15,8 @@ fn a_chain_of_thousands_is_explained_in_a_few_lines() {
     let said = run(&sealed, &["explain", "p.yaml"]);
     assert_eq!(said.code, 0, "{said:?}");
     assert!(
-        said.stdout.contains("3000 stages not up to date, for 1 cause")
-            && said.stdout.contains("new; 2999 stages behind"),
+        said.stdout.contains("3000 stages not up to date, 1 cause")
+            && said.stdout.contains("new; 2999 stages downstream"),
         "{}",
         said.stdout
     );

@@ -1,4 +1,4 @@
-//! `dril-pipe graph`: the stages and what they read from each other, as DOT, Mermaid or JSON. Needs no store.
+//! `dril-pipe graph`: the DAG of stages as DOT, Mermaid or JSON. Does not read the store.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -11,7 +11,7 @@ use crate::cli::args::{GraphArgs, GraphFormat};
 use crate::cli::pipeline;
 use crate::cli::terminal::{print, printable};
 use crate::error::Error;
-use crate::resolve::{From, Graph};
+use crate::resolve::{Graph, Origin};
 
 pub(in crate::cli) fn main(args: &GraphArgs, registry: &Registry) -> Result<ExitCode, Error> {
     let graph = pipeline::source(&args.pipeline).load(registry)?;
@@ -24,12 +24,12 @@ pub(in crate::cli) fn main(args: &GraphArgs, registry: &Registry) -> Result<Exit
     Ok(ExitCode::SUCCESS)
 }
 
-/// Boxes and arrows, without a language yet.
+/// Nodes and edges, independent of the output format.
 #[derive(Debug, Default, PartialEq, Eq)]
 struct Drawing {
     title: String,
     boxes: Vec<Node>,
-    /// From box, to box, and the outputs that flow, in the order of the consumers' ports.
+    /// From node, to node, and the outputs, in the order of the consumer's ports.
     arrows: Vec<(usize, usize, Vec<String>)>,
 }
 
@@ -37,7 +37,7 @@ struct Drawing {
 struct Node {
     title: String,
     kind: String,
-    /// Stage instances in it.
+    /// Number of stage instances.
     size: usize,
 }
 
@@ -57,7 +57,7 @@ impl Drawing {
         let mut flows: BTreeMap<(usize, usize), Vec<String>> = BTreeMap::new();
         for index in graph.stages.node_indices() {
             for source in graph.stages[index].inputs.iter().flat_map(|wire| &wire.sources) {
-                let From::Stage { stage, output } = &source.from else { continue };
+                let Origin::Stage { stage, output } = &source.from else { continue };
                 let flow = flows.entry((boxes[stage.index()], boxes[index.index()])).or_default();
                 if flow.iter().all(|known| known != output) {
                     flow.push((*output).to_owned());
@@ -132,7 +132,7 @@ fn dot_text(text: &str) -> String {
     printable(text).replace('\\', "\\\\").replace('"', "\\\"").replace('\n', " ")
 }
 
-/// Mermaid reads labels as HTML with `#…;` for its own escapes.
+/// Mermaid parses labels as HTML, with `#…;` for its own escapes.
 fn html_text(text: &str) -> String {
     let mut safe = String::new();
     for c in printable(text).chars() {

@@ -1,4 +1,4 @@
-//! `dril-pipe plan`: what would run, and why. Reads, and changes nothing.
+//! `dril-pipe plan`: what would run, and why. Changes nothing.
 
 use std::process::ExitCode;
 
@@ -16,8 +16,8 @@ use crate::resolve::StageIndex;
 use crate::session;
 use crate::store::Store;
 
-/// At most so many stages are named after "depends on".
-const MOST_CAUSES: usize = 4;
+/// The number of groups that are listed after "depends on".
+const MAX_CAUSES: usize = 4;
 
 pub(in crate::cli) fn main(args: &PlanArgs, registry: &Registry) -> Result<ExitCode, Error> {
     let session = pipeline::session(&args.pipeline, &args.store, registry)?;
@@ -43,13 +43,13 @@ struct Row<'g> {
     stages: Vec<StageIndex>,
     stage: &'g str,
     verdict: &'static str,
-    /// What it depends on: stages that will run.
+    /// The stages that it depends on and that will run.
     causes: Vec<StageIndex>,
     /// What differs in the stage itself.
     own: String,
 }
 
-/// The rows: instances of a stage with equal verdict and reasons share one, unless `all` are asked for.
+/// The rows: instances of a stage with the same verdict and reasons share one, unless `all` is set.
 fn rows<'g>(plan: &Plan<'g>, names: &Names<'g>, all: bool) -> Vec<Row<'g>> {
     let mut rows: Vec<Row<'g>> = Vec::new();
     for (index, verdict) in &plan.steps {
@@ -89,8 +89,8 @@ fn row<'g>(index: StageIndex, stage: &'g str, verdict: &Verdict) -> Row<'g> {
 fn why_of(row: &Row<'_>, names: &Names<'_>) -> String {
     match (row.causes.is_empty(), row.own.is_empty()) {
         (true, _) => row.own.clone(),
-        (false, true) => names.groups(&row.causes, MOST_CAUSES),
-        (false, false) => format!("{}; {}", names.groups(&row.causes, MOST_CAUSES), row.own),
+        (false, true) => names.groups(&row.causes, MAX_CAUSES),
+        (false, false) => format!("{}; {}", names.groups(&row.causes, MAX_CAUSES), row.own),
     }
 }
 
@@ -130,19 +130,19 @@ fn summary(plan: &Plan<'_>) -> String {
     }
     let mut text = format!("{} to run", count(run, "stage"));
     if depends > 0 {
-        text += &format!(", {depends} behind them (they run unless their inputs come out as before)");
+        text += &format!(", {depends} downstream (they run if their inputs change)");
     }
     text + &format!(", {cached} cached")
 }
 
-/// How long all that is stale will take here, where earlier runs tell; shorter times than a second are not worth a word.
+/// Estimate of the time for all stale stages, from earlier runs; nothing for less than a second.
 fn time_left(plan: &Plan<'_>, estimates: &Estimates) -> String {
     let threads = Options::default().threads;
     let (time, unknown) = estimates.together(plan, threads, |stage| is_stale(plan, stage));
     if time.as_secs() == 0 {
         return String::new();
     }
-    let besides = if unknown > 0 { format!(", and {unknown} of unknown length") } else { String::new() };
+    let besides = if unknown > 0 { format!(", and {unknown} without an estimate") } else { String::new() };
     format!("; about {} on {}{besides}", estimate(time), count(threads, "thread"))
 }
 

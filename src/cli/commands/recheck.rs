@@ -1,4 +1,4 @@
-//! `run --check-determinism`: every stage once more, and the first output that is not what it was.
+//! `run --check-determinism`: runs every stage a second time and reports outputs that differ.
 
 use std::sync::atomic::AtomicBool;
 
@@ -13,7 +13,7 @@ use crate::plan;
 use crate::resolve::Graph;
 use crate::store::Store;
 
-/// Runs all stages of a finished run once more. The exit code.
+/// Runs all stages of a finished run a second time. Returns the exit code.
 pub(in crate::cli) fn main(
     args: &RunArgs,
     graph: &Graph,
@@ -26,7 +26,7 @@ pub(in crate::cli) fn main(
     let total = graph.stages.node_count();
     let talks = !args.json && !args.quiet;
     if talks {
-        print(&format!("checking: {} once more\n", count(total, "stage")))?;
+        print(&format!("checking determinism: running {} again\n", count(total, "stage")))?;
     }
     let plan = plan::plan(graph, store, &pipeline::source(&args.pipeline).base())?;
     let mut number = 0;
@@ -47,7 +47,7 @@ pub(in crate::cli) fn main(
     let Some((first, outcome)) = bad.first() else {
         if talks {
             let word = terminal.paint(Style::Good, "deterministic");
-            print(&format!("{word}: {} gave the same bytes twice\n", count(outcomes.len(), "stage")))?;
+            print(&format!("{word}: {} produced the same bytes twice\n", count(outcomes.len(), "stage")))?;
         }
         return Ok(exit_codes::OK);
     };
@@ -69,9 +69,12 @@ pub(in crate::cli) fn main(
 
 fn text(outcome: &RecheckOutcome) -> String {
     match outcome {
-        RecheckOutcome::Same => "gave the same".to_owned(),
+        RecheckOutcome::Same => "produced the same bytes".to_owned(),
         RecheckOutcome::Differs { output, at, path } => {
-            format!("gave another output `{output}`: byte {at} is the first that differs ({})", shown(path))
+            format!(
+                "produced a different output `{output}`: the first difference is at byte {at} ({})",
+                shown(path)
+            )
         }
         RecheckOutcome::Failed(failure) => {
             format!("failed the second time: {}", printable(&failure.to_string()))

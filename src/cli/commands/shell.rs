@@ -1,5 +1,4 @@
-//! `dril-pipe schema`, `completions` and `man`: what editors, shells and `man` want to know of pipeline files and of this
-//! program.
+//! `dril-pipe schema`, `completions` and `man`: support for editors, shells and `man`.
 
 use std::process::ExitCode;
 
@@ -26,8 +25,8 @@ pub(in crate::cli) fn completions(
 }
 
 pub(in crate::cli) fn man(args: &ManArgs, extensions: &Extensions<'_>) -> Result<ExitCode, Error> {
-    let pages =
-        shell::pages(extensions).map_err(|error| Error::new(ErrorKind::Io, format!("no page: {error}")))?;
+    let pages = shell::pages(extensions)
+        .map_err(|error| Error::new(ErrorKind::Io, format!("cannot generate the man pages: {error}")))?;
     match (&args.out, pages.first()) {
         (Some(folder), _) => {
             fsx::create_dir_all(folder)?;

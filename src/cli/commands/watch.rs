@@ -1,6 +1,6 @@
-//! `dril-pipe watch`: runs a pipeline, and runs it again whenever its file or a file that it reads changes.
+//! `dril-pipe watch`: runs a pipeline, and again whenever its file or one of its input files changes.
 //!
-//! It looks at the files a few times a second instead of asking the system for notices: there are few of them, and that
+//! It polls the files a few times per second instead of using file system notifications: there are few of them, and polling
 //! works on every file system.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -18,7 +18,7 @@ use crate::cli::{pipeline, signals};
 use crate::error::{Error, exit_codes};
 use crate::fsx;
 use crate::plan;
-use crate::resolve::{From, Graph};
+use crate::resolve::{Graph, Origin};
 use crate::session::Reading;
 
 /// Polling interval for changed files.
@@ -26,7 +26,7 @@ const WATCH_INTERVAL: Duration = Duration::from_millis(200);
 /// A change counts once no file has changed for this long: editors write several files, or one in pieces.
 const DEBOUNCE: Duration = Duration::from_millis(150);
 
-/// What a file looked like; `None` where there was none.
+/// Identity (size, times, inode) of each file; `None` where it does not exist.
 type Looks = BTreeMap<PathBuf, Option<String>>;
 
 pub(in crate::cli) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Error> {
@@ -34,18 +34,18 @@ pub(in crate::cli) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCo
     let mut files = files(args, registry);
     loop {
         let before = looks(&files);
-        // A mistake in the file is told, and is gone with the next edit.
+        // A mistake in the file is reported, and the next edit can correct it.
         if let Err(error) = run::main(args, registry) {
             print_error(&error.to_string());
         }
         files = self::files(args, registry);
         if !args.quiet && !args.json {
             let terminal = Terminal::stdout();
-            let text = format!("watching {}; Ctrl-C ends", count(files.len(), "file"));
+            let text = format!("watching {}; press Ctrl-C to quit", count(files.len(), "file"));
             print(&format!("{}\n", terminal.paint(Style::Quiet, &text)))?;
         }
         let mut seen = looks(&files);
-        // An edit while it ran counts too.
+        // An edit during the run counts, too.
         seen.extend(before.into_iter().filter(|(path, _)| files.contains(path)));
         let changed = loop {
             if stop.load(Ordering::Relaxed) {
@@ -55,7 +55,7 @@ pub(in crate::cli) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCo
             if let Some(changed) = changed(&seen) {
                 break changed;
             }
-            // Thousands of files are looked at more rarely.
+            // Thousands of files are polled less often.
             std::thread::sleep(WATCH_INTERVAL.max(began.elapsed() * 10));
         };
         wait_until_quiet(&files);
@@ -65,7 +65,7 @@ pub(in crate::cli) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCo
     }
 }
 
-/// The pipeline file, those that it includes, and the files from outside that it reads, as far as they can be read.
+/// The pipeline file, its included files, and its input files, as far as they can be read.
 fn files(args: &RunArgs, registry: &Registry) -> Vec<PathBuf> {
     let mut files = vec![args.pipeline.file.clone()];
     let mut reading = Reading::default();
@@ -77,7 +77,7 @@ fn files(args: &RunArgs, registry: &Registry) -> Vec<PathBuf> {
         for (path, is_folder, exclude) in outside(&graph) {
             let path = base.join(path);
             if is_folder {
-                // Folders, too: they look otherwise when a file comes or goes.
+                // Including folders: they change when a file is added or removed.
                 for inside in plan::inside(&path, exclude).unwrap_or_default() {
                     let all = inside.path.ancestors().filter(|inside| !inside.as_os_str().is_empty());
                     files.extend(all.map(|inside| path.join(inside)));
@@ -91,13 +91,13 @@ fn files(args: &RunArgs, registry: &Registry) -> Vec<PathBuf> {
     files
 }
 
-/// The paths from outside; true for those of folders, with what is left out of them.
+/// The paths of input files and folders (true), with the exclude patterns of folders.
 fn outside(graph: &Graph) -> BTreeSet<(&str, bool, &[String])> {
     let sources = graph.stages.node_weights().flat_map(|stage| &stage.inputs).flat_map(|wire| &wire.sources);
     sources
         .filter_map(|source| match &source.from {
-            From::File { path, folder, exclude, .. } => Some((path.as_str(), *folder, exclude.as_slice())),
-            From::Stage { .. } => None,
+            Origin::File { path, folder, exclude, .. } => Some((path.as_str(), *folder, exclude.as_slice())),
+            Origin::Stage { .. } => None,
         })
         .collect()
 }
@@ -106,12 +106,12 @@ fn looks(files: &[PathBuf]) -> Looks {
     files.iter().map(|path| (path.clone(), fsx::identity(path).ok())).collect()
 }
 
-/// The first file that looks otherwise than it was seen.
+/// The first file that has changed.
 fn changed(seen: &Looks) -> Option<PathBuf> {
     seen.iter().find(|(path, look)| fsx::identity(path).ok() != **look).map(|(path, _)| path.clone())
 }
 
-/// Waits until the files have not changed for a moment.
+/// Waits until the files have not changed for [`DEBOUNCE`].
 fn wait_until_quiet(files: &[PathBuf]) {
     let mut before = looks(files);
     loop {

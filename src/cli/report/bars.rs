@@ -1,4 +1,4 @@
-//! Moving lines for a terminal: one for each running stage, and one for the whole run below them.
+//! Progress bars for a terminal: one per running stage, and one for the whole run below them.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -7,21 +7,21 @@ use std::time::{Duration, Instant};
 use dril_stage_api::Progress;
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
 
-use super::story::{Line, Story};
+use super::text::{EventText, Line};
 use super::{Ending, Reporter};
 use crate::cli::terminal::{Style, Terminal, cut, duration, estimate, printable};
 use crate::exec::Event;
 use crate::plan::{Plan, Verdict};
 use crate::resolve::{Graph, StageIndex};
 
-/// Estimates of the whole run begin when this share of the work is done.
+/// The remaining time of the run is shown once this share of the work is done.
 const ENOUGH_TO_ESTIMATE: f64 = 0.02;
-/// How often elapsed times move on.
+/// How often elapsed times are updated.
 const TICK: Duration = Duration::from_millis(250);
 
-/// Draws bars.
+/// Draws progress bars.
 pub(super) struct Bars<'g> {
-    story: Story<'g>,
+    text: EventText<'g>,
     graph: &'g Graph,
     terminal: Terminal,
     live: Option<Live>,
@@ -29,7 +29,7 @@ pub(super) struct Bars<'g> {
     work: Work,
 }
 
-/// What is on the screen. Made when the first stage starts: a run without work draws nothing.
+/// The bars on the screen. Created when the first stage starts: a run without work draws nothing.
 struct Live {
     lines: MultiProgress,
     gap: ProgressBar,
@@ -39,17 +39,17 @@ struct Live {
 /// A running stage's line.
 struct Running {
     line: ProgressBar,
-    /// When the first progress came, and how far the stage was then: it may have begun at a checkpoint.
+    /// Time and step of the first progress message: the stage may have resumed from a checkpoint.
     first: Option<(Instant, u64)>,
-    /// The share that is done, from 0 to 1.
+    /// The finished share, from 0 to 1.
     share: f64,
 }
 
-/// Sums of the stages' costs, for an estimate of the time that is left.
+/// Sums of stage costs, to estimate the remaining time.
 #[derive(Debug, Default)]
 struct Work {
     began: Option<Instant>,
-    /// Not begun, or running.
+    /// Waiting or running.
     open: f64,
     /// Done by this run.
     done: f64,
@@ -57,15 +57,15 @@ struct Work {
 
 impl<'g> Bars<'g> {
     pub fn new(graph: &'g Graph, terminal: Terminal) -> Self {
-        let story = Story::new(graph, terminal);
-        Self { story, graph, terminal, live: None, running: BTreeMap::new(), work: Work::default() }
+        let text = EventText::new(graph, terminal);
+        Self { text, graph, terminal, live: None, running: BTreeMap::new(), work: Work::default() }
     }
 
     fn cost(&self, stage: StageIndex) -> f64 {
         self.graph.stages.node_weight(stage).map_or(0.0, |stage| stage.needs.cost.max(0.0))
     }
 
-    /// A short name, `dril[clipped, beta, 20]`: there is little room, and the lines above have the full one.
+    /// A short name, `dril[clipped, beta, 20]`: space is limited, and the lines above have the full name.
     fn name(&self, stage: StageIndex) -> String {
         let Some(stage) = self.graph.stages.node_weight(stage) else { return String::new() };
         let values: Vec<&str> = stage.coordinates.iter().map(|(_, value)| &**value).collect();
@@ -93,7 +93,7 @@ impl<'g> Bars<'g> {
         running.line.set_message(message);
     }
 
-    /// The stage is over, one way or another.
+    /// The stage has ended, with or without success.
     fn over(&mut self, stage: StageIndex, by_this_run: bool) {
         let cost = self.cost(stage);
         self.work.open -= cost;
@@ -106,7 +106,7 @@ impl<'g> Bars<'g> {
         }
     }
 
-    /// Takes all moving lines off the screen.
+    /// Removes all bars from the screen.
     fn clear(&mut self) {
         for (_, running) in std::mem::take(&mut self.running) {
             running.line.finish_and_clear();
@@ -119,9 +119,9 @@ impl<'g> Bars<'g> {
 
     fn draw_whole(&self) {
         let Some(live) = &self.live else { return };
-        let (settled, total) = self.story.settled();
-        let share = settled as f64 / total.max(1) as f64;
-        let mut text = format!("{settled}/{total} stages");
+        let (done, total) = self.text.progress();
+        let share = done as f64 / total.max(1) as f64;
+        let mut text = format!("{done}/{total} stages");
         let under_way = self.running.iter().map(|(stage, running)| self.cost(*stage) * running.share);
         if let Some(left) = self.work.left(under_way.sum()) {
             let _ = write!(text, ", about {} left", estimate(left));
@@ -142,8 +142,8 @@ impl<'g> Bars<'g> {
 impl Live {
     fn new() -> Self {
         let lines = MultiProgress::with_draw_target(ProgressDrawTarget::stdout());
-        // When a terminal echoes `^C`, the cursor is a line lower than it is thought to be, and the topmost line is not
-        // cleared: it had better be an empty one.
+        // When a terminal echoes `^C`, the cursor is one line lower than expected and the topmost line is not cleared, so the
+        // topmost line is empty.
         let gap = lines.add(ProgressBar::new_spinner().with_style(style(" ")));
         gap.tick();
         let whole = lines.add(ProgressBar::new_spinner().with_style(style("  {msg}  {time}")));
@@ -173,7 +173,7 @@ impl Running {
 }
 
 impl Work {
-    /// The time left, if the rest goes as fast as what was done; `under_way` is the cost done of running stages.
+    /// The remaining time at the speed so far; `under_way` is the finished cost of running stages.
     fn left(&self, under_way: f64) -> Option<Duration> {
         let done = self.done + under_way;
         let open = self.open - under_way;
@@ -183,7 +183,7 @@ impl Work {
     }
 }
 
-/// The time left of a stage that came from step `from` to `step` of `total` within `took`.
+/// The remaining time of a stage that came from step `from` to `step` of `total` within `took`.
 fn time_left(took: Duration, from: u64, step: u64, total: u64) -> Option<Duration> {
     let made = step.checked_sub(from).filter(|made| *made > 0)? as f64;
     let open = total.checked_sub(step).filter(|open| *open > 0)? as f64;
@@ -197,7 +197,7 @@ fn bar_width(terminal: Terminal) -> usize {
     if terminal.width.is_some_and(|columns| columns < 70) { 8 } else { 16 }
 }
 
-/// A bar of a width that suits the terminal.
+/// A bar as wide as the terminal allows.
 fn bar(share: f64, terminal: Terminal) -> String {
     let width = bar_width(terminal);
     let filled = (share.clamp(0.0, 1.0) * width as f64).floor() as usize;
@@ -217,12 +217,12 @@ impl Reporter for Bars<'_> {
     fn planned(&mut self, plan: &Plan<'_>, threads: usize) {
         let stale = plan.steps.iter().filter(|(_, verdict)| !matches!(verdict, Verdict::Cached { .. }));
         self.work.open = stale.map(|(stage, _)| self.cost(*stage)).sum();
-        let line = self.story.planned(plan, threads);
+        let line = self.text.planned(plan, threads);
         self.say(Line::Out(line));
     }
 
     fn event(&mut self, event: &Event) {
-        let known = self.story.settled().0;
+        let known = self.text.progress().0;
         match event {
             Event::StageStarted { stage, .. } => self.started(*stage),
             Event::Progressed { stage, progress } => self.progressed(*stage, progress),
@@ -232,27 +232,27 @@ impl Reporter for Bars<'_> {
             }
             _ => {}
         }
-        let line = self.story.event(event);
-        // A stage that was stale in the plan and came out cached is work that need not be done.
+        let line = self.text.event(event);
+        // A stage that was stale in the plan and turned out to be cached is work that is not needed.
         if let (Event::Cached { stage, .. }, Some(_)) = (event, &line) {
             self.over(*stage, false);
         }
         if let Some(line) = line {
             self.say(line);
         }
-        if self.live.is_some() && (known != self.story.settled().0 || !self.running.is_empty()) {
+        if self.live.is_some() && (known != self.text.progress().0 || !self.running.is_empty()) {
             self.draw_whole();
         }
     }
 
     fn ended(&mut self, ending: &Ending<'_>) {
         self.clear();
-        self.story.ended(ending).into_iter().for_each(Line::print);
+        self.text.ended(ending).into_iter().for_each(Line::print);
     }
 }
 
 impl Drop for Bars<'_> {
-    /// An error ends the run without a word to its reporters; the error's text needs a clean screen.
+    /// If an error ends the run, reporters are not called again, but the error needs a clean screen.
     fn drop(&mut self) {
         self.clear();
     }
@@ -263,7 +263,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_stage_that_began_at_a_checkpoint_is_not_taken_for_a_fast_one() {
+    fn a_resumed_stage_is_not_mistaken_for_a_fast_one() {
         let took = Duration::from_secs(10);
         assert_eq!(time_left(took, 0, 50, 100), Some(took));
         assert_eq!(time_left(took, 40, 50, 100), Some(took * 5));

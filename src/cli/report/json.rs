@@ -1,5 +1,5 @@
-//! What happens as lines of JSON on standard output, for programs: `event` names the sort, `at` is in seconds since the
-//! start. The last line has the event `ended`, or `error` where the run could not begin or not go on.
+//! Events as JSON lines on stdout, for programs: `event` is the type, `at` the time in seconds since the start. The last event is
+//! `ended`, or `error` where the run could not start or continue.
 
 use std::time::Instant;
 
@@ -13,7 +13,7 @@ use crate::exec::Event;
 use crate::plan::{Counts, Plan};
 use crate::resolve::{Graph, StageIndex};
 
-/// Prints lines of JSON.
+/// Prints JSON lines.
 pub(super) struct Json<'g> {
     graph: &'g Graph,
     began: Instant,
@@ -27,7 +27,7 @@ impl<'g> Json<'g> {
     fn say(&self, event: &str, mut fields: Value) {
         fields["event"] = json!(event);
         fields["at"] = json!(self.began.elapsed().as_millis() as f64 / 1000.0);
-        // A reader that has gone is no reason to stop the run.
+        // A closed pipe must not stop the run.
         let _ = print(&format!("{fields}\n"));
     }
 
@@ -53,7 +53,7 @@ impl Reporter for Json<'_> {
 
     fn event(&mut self, event: &Event) {
         match event {
-            // `planned` and `ended` say it with more.
+            // `planned` and `ended` contain more.
             Event::Started { .. } | Event::Finished { .. } => {}
             Event::Cached { stage, key } => self.stage("cached", *stage, json!({ "key": key.hex() })),
             Event::Waiting { stage } => self.stage("waiting", *stage, json!({})),
@@ -112,7 +112,7 @@ impl Reporter for Json<'_> {
     }
 }
 
-/// The line of an error that kept the run from beginning, or from going on.
+/// The line of an error that kept the run from starting or continuing.
 pub(in crate::cli) fn error_line(error: &Error) -> String {
     let code = error.kind().exit_code();
     let fields = json!({

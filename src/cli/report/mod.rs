@@ -5,7 +5,7 @@ mod bars;
 mod json;
 mod plain;
 mod quiet;
-mod story;
+mod text;
 
 pub(super) use json::error_line;
 

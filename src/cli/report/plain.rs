@@ -1,23 +1,23 @@
-//! Lines for a file or a pipe: one for each stage that is done, and now and then one for those that take long.
+//! Lines for a file or a pipe: one per finished stage, and progress lines for long stages.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use dril_stage_api::Progress;
 
-use super::story::{Line, Story};
+use super::text::{EventText, Line};
 use super::{Ending, Reporter};
 use crate::cli::terminal::{Terminal, duration, printable};
 use crate::exec::Event;
 use crate::plan::Plan;
 use crate::resolve::{Graph, StageIndex};
 
-/// A stage that runs this long gets a line; the next one after twice the time, and so on.
+/// A stage that runs this long gets a progress line; the next one follows after twice the time, and so on.
 const FIRST_LINE: Duration = Duration::from_secs(30);
-/// At least this often.
+/// The longest time between two progress lines.
 const LONGEST_SILENCE: Duration = Duration::from_secs(300);
 
-/// When a stage began, and when its next line is due.
+/// When a stage started, and when its next line is due.
 struct Pace {
     began: Instant,
     due: Duration,
@@ -25,13 +25,13 @@ struct Pace {
 
 /// Prints plain lines.
 pub(super) struct Plain<'g> {
-    story: Story<'g>,
+    text: EventText<'g>,
     running: BTreeMap<StageIndex, Pace>,
 }
 
 impl<'g> Plain<'g> {
     pub fn new(graph: &'g Graph, terminal: Terminal) -> Self {
-        Self { story: Story::new(graph, terminal), running: BTreeMap::new() }
+        Self { text: EventText::new(graph, terminal), running: BTreeMap::new() }
     }
 
     fn progressed(&mut self, stage: StageIndex, progress: &Progress) {
@@ -39,7 +39,7 @@ impl<'g> Plain<'g> {
         let ran = pace.began.elapsed();
         if ran >= pace.due {
             pace.due = next_line(ran);
-            let text = format!("  {} after {}: {}", self.story.id(stage), duration(ran), reading(progress));
+            let text = format!("  {} after {}: {}", self.text.id(stage), duration(ran), reading(progress));
             Line::Out(text).print();
         }
     }
@@ -60,7 +60,7 @@ fn reading(progress: &Progress) -> String {
 
 impl Reporter for Plain<'_> {
     fn planned(&mut self, plan: &Plan<'_>, threads: usize) {
-        Line::Out(self.story.planned(plan, threads)).print();
+        Line::Out(self.text.planned(plan, threads)).print();
     }
 
     fn event(&mut self, event: &Event) {
@@ -76,13 +76,13 @@ impl Reporter for Plain<'_> {
             }
             _ => {}
         }
-        if let Some(line) = self.story.event(event) {
+        if let Some(line) = self.text.event(event) {
             line.print();
         }
     }
 
     fn ended(&mut self, ending: &Ending<'_>) {
-        self.story.ended(ending).into_iter().for_each(Line::print);
+        self.text.ended(ending).into_iter().for_each(Line::print);
     }
 }
 
@@ -91,7 +91,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lines_of_a_long_stage_come_ever_more_rarely_but_at_least_every_five_minutes() {
+    fn progress_lines_come_at_growing_intervals_of_at_most_five_minutes() {
         let mut due = vec![FIRST_LINE];
         while due.len() < 8 {
             due.extend(due.last().copied().map(next_line));

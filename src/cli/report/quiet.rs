@@ -1,13 +1,13 @@
-//! Nothing but errors.
+//! Only errors.
 
-use super::story::failure;
+use super::text::failure;
 use super::{Ending, Reporter};
 use crate::cli::terminal::print_error;
 use crate::exec::Event;
 use crate::plan::Plan;
 use crate::resolve::Graph;
 
-/// Prints failed stages to standard error, and nothing else.
+/// Prints failed stages to stderr, and nothing else.
 pub(super) struct Quiet<'g> {
     graph: &'g Graph,
 }

@@ -1,4 +1,4 @@
-//! The fields of a command that can be written in more than one way.
+//! Fields of a command that have several notations.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -10,7 +10,7 @@ use serde::{Deserialize, Deserializer, Serialize, de};
 
 use super::super::import::is_ending;
 
-/// A word of a command line: a text; a number, `true` or `false` is taken as its text.
+/// A word of a command line: a text; numbers, `true` and `false` are taken as text.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(transparent)]
 pub struct Word(pub(super) String);
@@ -61,7 +61,7 @@ impl JsonSchema for Word {
     }
 }
 
-/// An input as the command sees it.
+/// An input of a command.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct CommandInput {
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -75,14 +75,14 @@ pub struct CommandInput {
 }
 
 impl CommandInput {
-    /// What it takes: what is said, a folder where the path ends with `/`, else anything.
+    /// Its type: as given, `folder` if the path ends with `/`, else `any`.
     pub(super) fn artifact(&self) -> Artifact {
         let folder = !self.many && self.path.as_deref().is_some_and(|path| path.ends_with('/'));
         self.artifact.unwrap_or(if folder { Artifact::FOLDER } else { Artifact::ANY })
     }
 }
 
-/// An output as the command writes it.
+/// An output of a command.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct CommandOutput {
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -92,13 +92,13 @@ pub struct CommandOutput {
 }
 
 impl CommandOutput {
-    /// What it is: what is said, a folder where the path ends with `/`, else a file.
+    /// Its type: as given, `folder` if the path ends with `/`, else `file`.
     pub(super) fn artifact(&self) -> Artifact {
         let folder = self.path.as_deref().is_some_and(|path| path.ends_with('/'));
         self.artifact.unwrap_or(if folder { Artifact::FOLDER } else { Artifact::FILE })
     }
 
-    /// The ending of its file, without the dot.
+    /// The file extension, without the dot.
     pub(super) fn extension(&self) -> &str {
         let ending = self.path.as_deref().and_then(|path| Path::new(path).extension()?.to_str());
         match self.artifact() {
@@ -107,7 +107,7 @@ impl CommandOutput {
         }
     }
 
-    /// Where it is expected without a path of its own.
+    /// The default path.
     pub(super) fn default_path(&self, name: &str) -> String {
         match self.artifact() {
             Artifact::FOLDER => format!("outputs/{name}"),
@@ -120,20 +120,20 @@ fn is_false(value: &bool) -> bool {
     !value
 }
 
-/// The maps behind the short forms. Their own types, so that a wrong field is told as such.
+/// The map notation. A type of its own, so that an unknown field is reported as such.
 #[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct InputMap {
-    /// Where it lies in the working folder; by default `inputs/<name>`.
+    /// Its path in the working folder; by default `inputs/<name>`.
     #[serde(default)]
     path: Option<String>,
-    /// What it takes; by default anything.
+    /// Its artifact type; by default `any`.
     #[serde(default, rename = "type")]
     artifact: Option<Artifact>,
-    /// Takes one or more artifacts, which lie in a folder as `0`, `1`, ...; `inputs.json` has their labels.
+    /// Takes one or more artifacts, in a folder as `0`, `1`, ...; `inputs.json` has their labels.
     #[serde(default)]
     many: bool,
-    /// May be left out.
+    /// Can be omitted.
     #[serde(default)]
     optional: bool,
 }
@@ -141,10 +141,10 @@ struct InputMap {
 #[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct OutputMap {
-    /// Where the command writes it in the working folder; by default `outputs/<name>.<ending>`.
+    /// Its path in the working folder; by default `outputs/<name>.<extension>`.
     #[serde(default)]
     path: Option<String>,
-    /// What it is; by default a file, or a folder where the path ends with `/`.
+    /// Its artifact type; by default `file`, or `folder` if the path ends with `/`.
     #[serde(default, rename = "type")]
     artifact: Option<Artifact>,
 }
@@ -197,8 +197,8 @@ path_or_map!(CommandOutput, OutputMap, "CommandOutput", |map: OutputMap| Command
     artifact: map.artifact,
 });
 
-/// Environment variables: a list of names, or a map; `None` is filled in from the environment of the run, and stays where
-/// the variable is not set there.
+/// Environment variables: a list of names, or a map. `None` is filled in from the environment of the run, and stays `None` if the
+/// variable is not set there.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(transparent)]
 pub struct Variables(pub(super) BTreeMap<String, Option<String>>);
@@ -261,7 +261,7 @@ impl JsonSchema for Variables {
     }
 }
 
-/// A path without `./`, doubled or trailing `/`; what is wrong with it otherwise stays as it is.
+/// Removes `./` and double or trailing `/` from a path; other errors stay.
 pub(super) fn normal(path: &str) -> String {
     let parts: Vec<&str> = path.split('/').filter(|part| !part.is_empty() && *part != ".").collect();
     if path.starts_with('/') { format!("/{}", parts.join("/")) } else { parts.join("/") }

@@ -1,8 +1,8 @@
-//! `command`: any program as a stage. It runs in a folder of its own, sees its inputs there by name, and what it leaves
-//! under the names of its outputs is its result.
+//! `command`: any program as a stage. It runs in a private folder that contains its inputs by name, and the files that it writes
+//! under the names of its outputs are its result.
 //!
-//! All that the program is told enters the key: the command line, the names of its files, the variables it is given with
-//! their values, the contents of its inputs. So the paths that it sees are short, relative, and the same everywhere.
+//! Everything that the program gets enters the key: the command line, the names of its files, its environment variables with their
+//! values, and the contents of its inputs. So the paths that it sees are short, relative, and the same on every machine.
 
 mod fields;
 mod run;
@@ -29,26 +29,25 @@ pub struct Command;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CommandParams {
-    /// The program and its arguments, as they are: no shell reads them. In each of them `{inputs.name}`,
-    /// `{outputs.name}`, `{checkpoints}` and `{seed}` stand for paths and the seed.
+    /// The program and its arguments, without a shell. `{inputs.name}`, `{outputs.name}`, `{checkpoints}` and `{seed}` are replaced
+    /// by paths and the seed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     run: Option<Vec<Word>>,
-    /// A text for a shell instead, with the same `{...}`; a `$` for the shell is written `$$`. A command that fails ends
-    /// the stage, also inside a pipe: the shell is `sh -eu`, and `bash -euo pipefail` where there is a pipe in the text.
+    /// A shell script instead, with the same placeholders; write `$$` for a `$` of the shell. The stage fails if any command fails,
+    /// also inside a pipe: the shell is `sh -eu`, or `bash -euo pipefail` if the script contains a pipe.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     shell: Option<String>,
-    /// Inputs that need more than their name in the command: a path in the working folder (`raw: data/raw.csv`; a folder
-    /// ends with `/`), or a map of `path`, `type`, `many` and `optional`.
+    /// Inputs that need more than their name in the command: a path in the working folder (`raw: data/raw.csv`; a folder ends with
+    /// `/`), or a map of `path`, `type`, `many` and `optional`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     inputs: BTreeMap<String, CommandInput>,
-    /// What the program writes: a path in the working folder (`clean: clean.csv`; a folder ends with `/`), or a map of
-    /// `path` and `type`.
+    /// The outputs: a path in the working folder (`clean: clean.csv`; a folder ends with `/`), or a map of `path` and `type`.
     outputs: BTreeMap<String, CommandOutput>,
-    /// The variables that it sees: a list of names, taken from the environment of the run, or a map with values.
-    /// They enter the key with their values.
+    /// Environment variables: a list of names, taken from the environment of the run, or a map with values. Names and values
+    /// enter the key.
     #[serde(default, skip_serializing_if = "Variables::is_empty")]
     env: Variables,
-    /// Names of variables that it sees too, whose values do not enter the key: tokens, proxies.
+    /// Names of environment variables whose values do not enter the key: tokens, proxies.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pass_env: Vec<String>,
 }
@@ -60,12 +59,12 @@ impl CommandParams {
         run.chain(self.shell.as_deref()).collect()
     }
 
-    /// Every text in which `{...}` means something.
+    /// Every text in which placeholders are replaced.
     fn templates(&self) -> impl Iterator<Item = &str> {
         self.words().into_iter().chain(self.env.values())
     }
 
-    /// The names of all inputs: those that are declared, and those that the command names.
+    /// The names of all inputs: declared ones, and those that the command uses.
     fn input_names(&self) -> BTreeSet<&str> {
         let named = self.templates().filter_map(|text| template::pieces(text).ok()).flatten();
         let named = named.filter_map(|piece| if let Piece::Input(name) = piece { Some(name) } else { None });
@@ -94,7 +93,7 @@ impl CommandParams {
 impl Describe for Command {
     const KIND: &'static str = "command";
     const REVISION: u32 = 1;
-    const ABOUT: &'static str = "runs any program, with declared inputs and outputs";
+    const ABOUT: &'static str = "runs any program with declared inputs and outputs";
     const SEEDED: bool = false;
     const ENVIRONMENT: Option<&'static str> = Some("env");
     const TEXTS: &'static [&'static str] = &["run", "env"];
@@ -123,7 +122,7 @@ impl Describe for Command {
             ports = ports.output(port_name(name), output.artifact(), extension, "an output of the command");
         }
         ports.hint = Some(
-            "a command has the inputs that it names, as `{inputs.name}`, or that `with: { inputs: ... }` lists",
+            "a command has the inputs that it uses, as `{inputs.name}`, or that `with: { inputs: ... }` declares",
         );
         ports
     }
@@ -150,20 +149,17 @@ impl Program for Command {
 fn check_command(params: &CommandParams, problems: &mut Problems) {
     match (&params.run, &params.shell) {
         (Some(_), Some(_)) => problems.add("shell", "`run` and `shell` are both given, expected one of them"),
-        (None, None) => {
-            problems.add("", "neither `run` nor `shell` is given, expected the command as one of them")
-        }
+        (None, None) => problems.add("", "neither `run` nor `shell` is given, expected one of them"),
         (Some(words), None) if words.first().is_none_or(|word| word.0.is_empty()) => {
             problems.add("run", "`run` is empty, expected a program and its arguments");
         }
         (None, Some(text)) if text.trim().is_empty() => {
-            problems.add("shell", "`shell` is empty, expected a text for `sh`");
+            problems.add("shell", "`shell` is empty, expected a script for `sh`");
         }
         _ => {}
     }
     if params.outputs.is_empty() {
-        problems
-            .add("outputs", "`outputs` is empty, expected at least one: what a stage leaves is its outputs");
+        problems.add("outputs", "`outputs` is empty, expected at least one: only outputs are kept");
     }
     let words = params.run.iter().flatten().enumerate().map(|(at, word)| (format!("run.{at}"), &*word.0));
     let shell = params.shell.iter().map(|text| ("shell".to_owned(), text.as_str()));
@@ -173,7 +169,7 @@ fn check_command(params: &CommandParams, problems: &mut Problems) {
         match template::pieces(text) {
             Err(message) => problems.add(&path, message),
             Ok(_) if text.contains('\0') => {
-                problems.add(&path, "it has a zero byte in it, which no command can hold")
+                problems.add(&path, "it contains a zero byte, which a command cannot")
             }
             Ok(pieces) => {
                 for piece in pieces {
@@ -207,9 +203,9 @@ fn check_names(params: &CommandParams, problems: &mut Problems) {
     {
         let (field, name) = name;
         if name.is_empty() || name.contains(['=', '\0']) || name.starts_with("DRIL_") {
-            problems.add(field, format!("`{}` cannot be a variable here", name.escape_debug()));
+            problems.add(field, format!("`{}` is not allowed as a variable here", name.escape_debug()));
         } else if field == "pass_env" && params.env.0.contains_key(name) {
-            problems.add(field, format!("`{name}` stands in `env` already, expected it in one of them"));
+            problems.add(field, format!("`{name}` is also in `env`, expected it in only one of them"));
         }
     }
     for (name, input) in &params.inputs {
@@ -222,7 +218,7 @@ fn check_names(params: &CommandParams, problems: &mut Problems) {
         if output.artifact == Some(Artifact::ANY) {
             problems.add(
                 &format!("outputs.{name}"),
-                "an output is `any`, expected what it is, such as `file` or `table`",
+                "an output is `any`, expected a specific type such as `file` or `table`",
             );
         }
     }
@@ -245,12 +241,12 @@ fn check_paths(params: &CommandParams, problems: &mut Problems) {
             continue;
         }
         if map == "inputs" && (path == "outputs" || path.starts_with("outputs/")) {
-            problems.add(&at, format!("`{path}` is in `outputs/`, where only outputs lie"));
+            problems.add(&at, format!("`{path}` is in `outputs/`, which is only for outputs"));
         }
         let meets =
             taken.iter().find(|(other, _)| is_same_or_below(other, &path) || is_same_or_below(&path, other));
         if let Some((other, what)) = meets {
-            problems.add(&at, format!("`{path}` meets `{other}` ({what}), expected paths apart"));
+            problems.add(&at, format!("`{path}` overlaps with `{other}` ({what}), expected separate paths"));
         }
         taken.push((path, at));
     }

@@ -1,4 +1,4 @@
-//! What a command does when it runs: its inputs are laid out, the program is started, its outputs are collected.
+//! Runs a command: lays out its inputs, starts the program, and collects its outputs.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::{OsStr, OsString};
@@ -15,14 +15,13 @@ use super::{Command, CommandParams};
 use crate::fsx::{self, Entry};
 use dril_stage_api::Describe;
 
-/// Variables that every command sees beside its own and the engine's, which cap the threads of libraries: none of them is
-/// to change a result.
+/// Environment variables that every command gets; they must not change a result.
 const ALWAYS: [&str; 2] = ["PATH", "HOME"];
 
-/// The same for everybody, so that the order of `sort` and the words of a date do not depend on who runs it.
+/// Fixed values, so that the order of `sort` and the format of a date do not depend on the user.
 const FIXED: [(&str, &str); 2] = [("LC_ALL", "C.UTF-8"), ("TZ", "UTC")];
 
-/// Where the program keeps its checkpoints, in its working folder.
+/// The folder for checkpoints, in the working folder.
 const CHECKPOINTS: &str = "checkpoints";
 /// The list of inputs with their labels.
 const INPUTS: &str = "inputs.json";
@@ -39,7 +38,7 @@ pub(super) fn run(params: &CommandParams, ctx: &mut Ctx<'_>) -> Result<(), Stage
     if ctx.cancelled() && !status.success() { Err(StageError::Cancelled) } else { finished }
 }
 
-/// Lays out the inputs of a command and says how to start it.
+/// Lays out the inputs of a command and prepares its process.
 pub(super) fn prepare(params: &CommandParams, job: &Job) -> Result<Prepared, StageError> {
     let work = job.scratch.clone();
     let inputs = lay_out(params, job, &work)?;
@@ -54,10 +53,10 @@ pub(super) fn prepare(params: &CommandParams, job: &Job) -> Result<Prepared, Sta
     Ok(Prepared { process, finish: Box::new(finish) })
 }
 
-/// Where each input lies, by its name, relative to the working folder.
+/// The paths of each input, by name, relative to the working folder.
 type Paths = BTreeMap<&'static str, Vec<String>>;
 
-/// Makes the working folder, with a link for each artifact.
+/// Creates the working folder, with a link for each artifact.
 fn lay_out(params: &CommandParams, job: &Job, work: &Path) -> Result<Paths, StageError> {
     let mut folders = Folders { work, made: BTreeSet::new() };
     folders.make(Path::new("outputs"))?;
@@ -89,7 +88,7 @@ fn lay_out(params: &CommandParams, job: &Job, work: &Path) -> Result<Paths, Stag
     Ok(laid)
 }
 
-/// The folders in the working folder, each made once.
+/// Creates the folders in the working folder, each once.
 struct Folders<'a> {
     work: &'a Path,
     made: BTreeSet<PathBuf>,
@@ -115,7 +114,7 @@ impl Folders<'_> {
     }
 }
 
-/// Where the texts of a command get their paths from.
+/// Replaces the placeholders of a command.
 struct Texts<'a> {
     params: &'a CommandParams,
     /// The working folder.
@@ -137,7 +136,7 @@ impl Texts<'_> {
         let mut words = Vec::new();
         for word in self.params.run.iter().flatten() {
             match template::pieces(&word.0).map_err(StageError::failed)?.as_slice() {
-                // Alone, an input of many artifacts is as many words, and one that is left out is none.
+                // Alone, an input with many artifacts becomes as many words, and an omitted one becomes none.
                 [Piece::Input(name)] => words.extend(self.paths(name).iter().cloned()),
                 _ => words.push(self.fill(&word.0)?),
             }
@@ -170,7 +169,7 @@ impl Texts<'_> {
     }
 }
 
-/// All that the program sees of the environment.
+/// The environment of the program.
 fn environment(
     params: &CommandParams,
     texts: &Texts<'_>,
@@ -199,12 +198,12 @@ fn ended(params: &CommandParams, line: &str, status: ExitStatus) -> StageError {
         }
         (Some(code), _) => format!("exit code {code}"),
         (None, Some(9)) => {
-            "signal 9 (SIGKILL: by somebody, or by the system because memory ran out)".to_owned()
+            "signal 9 (SIGKILL: by a user, or by the system when it ran out of memory)".to_owned()
         }
-        (None, Some(11)) => "signal 11 (SIGSEGV: a wrong access to memory)".to_owned(),
+        (None, Some(11)) => "signal 11 (SIGSEGV: invalid memory access)".to_owned(),
         (None, signal) => format!("signal {}", signal.unwrap_or_default()),
     };
-    StageError::failed(format!("{what} ended with {how}; its log says more"))
+    StageError::failed(format!("{what} ended with {how}; see its log"))
 }
 
 /// The command line, shortened.
@@ -216,7 +215,7 @@ fn shown(process: &Process) -> String {
     if short.len() < line.len() { format!("`{short}…`") } else { format!("`{short}`") }
 }
 
-/// Moves what the program wrote to where the engine takes it from.
+/// Moves the outputs to where the engine expects them.
 fn collect(
     params: &CommandParams,
     outputs: &BTreeMap<String, JobOutput>,
@@ -244,17 +243,17 @@ fn collect(
         let more = if left.len() > 5 { format!(" and {} more", left.len() - 5) } else { String::new() };
         let names: Vec<String> = left.iter().take(5).map(|name| format!("`{name}`")).collect();
         wrong.push(format!(
-            "{}{more} is no declared output, and only these belong in `outputs/`: declare it, or write it elsewhere in \
-             the working folder, which is removed",
+            "{}{more} is not a declared output, and `outputs/` is only for these: declare it, or write it elsewhere in the \
+             working folder, which is removed",
             names.join(", ")
         ));
     }
     if wrong.is_empty() { Ok(()) } else { Err(StageError::failed(wrong.join("; "))) }
 }
 
-/// The file or folder at `path`, with links in and at it settled, ready to be moved away; or what is there instead.
+/// Checks the file or folder at `path` and makes its links independent of its place; the error is what was found instead.
 fn written(path: &Path, is_folder: bool, work: &Path) -> Result<PathBuf, String> {
-    let said = |error: fsx::FsError| format!("cannot be taken: {error}");
+    let said = |error: fsx::FsError| format!("cannot be used: {error}");
     match (fsx::entry(path).map_err(said)?, is_folder) {
         (Some(Entry::File(_)), false) => Ok(path.to_owned()),
         (Some(Entry::Folder), true) => fsx::settle_links(path).map(|()| path.to_owned()).map_err(said),
@@ -268,11 +267,11 @@ fn written(path: &Path, is_folder: bool, work: &Path) -> Result<PathBuf, String>
 /// As [`written`], of something that is neither file nor folder. A link is ordinary (`best.ckpt -> epoch-3.ckpt`) where it
 /// leads to a file, or to a folder of this stage.
 fn written_as_link(path: &Path, is_folder: bool, work: &Path) -> Result<PathBuf, String> {
-    let said = |error: fsx::FsError| format!("cannot be taken: {error}");
-    let Some(target) = fsx::link_target(path) else { return Err("is no regular file".to_owned()) };
+    let said = |error: fsx::FsError| format!("cannot be used: {error}");
+    let Some(target) = fsx::link_target(path) else { return Err("is not a regular file".to_owned()) };
     let target = format!("is a link to `{}`", target.display());
     let Some(real) = fsx::real(path) else {
-        return Err(format!("{target}, which is not there (the link is broken, or leads in a circle)"));
+        return Err(format!("{target}, which does not exist (a broken or circular link)"));
     };
     match (fsx::outside(&real).map_err(said)?, is_folder) {
         (fsx::Outside::File(_), false) => fsx::be_a_file(path).map(|()| path.to_owned()).map_err(said),
@@ -280,7 +279,7 @@ fn written_as_link(path: &Path, is_folder: bool, work: &Path) -> Result<PathBuf,
             fsx::remove_file(path).map_err(said)?;
             fsx::settle_links(&real).map(|()| real).map_err(said)
         }
-        (fsx::Outside::Folder, true) => Err(format!("{target}, a folder that is not of this stage: copy it")),
+        (fsx::Outside::Folder, true) => Err(format!("{target}, a folder outside this stage: copy it")),
         (fsx::Outside::File(_), true) => Err(format!("{target}, a file")),
         (fsx::Outside::Folder, false) => Err(format!("{target}, a folder")),
     }

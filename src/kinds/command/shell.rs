@@ -1,4 +1,4 @@
-//! The shell that reads a command's `shell` text: one that stops at a failure inside a pipe, too.
+//! The shell for a command's `shell` script: it also stops at a failure inside a pipe.
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -7,16 +7,13 @@ use std::sync::OnceLock;
 
 use crate::fsx;
 
-/// Linux takes no argument of more than 128 KiB (`MAX_ARG_STRLEN`); a longer text is read from a file.
+/// Linux limits an argument to 128 KiB (`MAX_ARG_STRLEN`); a longer script is run from a file.
 const LONGEST_ARGUMENT: usize = 100 * 1024;
 
-/// Before a text for a plain `sh`: the option is younger than some of them.
+/// Prefix for a plain `sh`: some do not support the option.
 const PIPEFAIL: &str = "if (set -o pipefail) 2>/dev/null; then set -o pipefail; fi; ";
 
 /// The program that runs `text`. A text that is too long for an argument is put into the file `script`.
-///
-/// # Errors
-/// The file cannot be written.
 pub(super) fn process(text: &str, path: Option<&OsStr>, script: &Path) -> fsx::Result<Process> {
     // A shell that starts twice as fast is enough where there is no pipe to look into.
     let bash = if has_pipe(text) { bash(path) } else { None };
@@ -76,7 +73,7 @@ mod tests {
     }
 
     #[test]
-    fn a_text_with_a_pipe_is_told_from_one_without() {
+    fn a_script_with_a_pipe_is_distinguished_from_one_without() {
         assert!(has_pipe("a | b") && has_pipe("a|b || c") && has_pipe("x=$(a|b)"));
         assert!(!has_pipe("a || b; c && d"));
     }

@@ -1,11 +1,11 @@
-//! The `{...}` of a command: where the paths of its inputs and outputs go.
+//! The placeholders of a command: `{inputs.name}` and so on.
 //!
-//! Only the few forms below mean something; all other braces are the program's own (`awk '{print}'`, JSON, a shell's
-//! `${x}`), so that they need no escape. What looks like a slip of one of these forms is a mistake.
+//! Only the forms below are placeholders; all other braces belong to the program (`awk '{print}'`, JSON, a shell's `${x}`) and need
+//! no escape. What looks like a misspelt placeholder is an error.
 
 use std::ops::Range;
 
-/// A text taken apart.
+/// A piece of a text.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Piece<'t> {
     /// As it is.
@@ -20,12 +20,12 @@ pub(super) enum Piece<'t> {
     Seed,
 }
 
-/// The forms, for messages.
+/// The placeholders, for messages.
 pub(super) const FORMS: &str = "`{inputs.name}`, `{outputs.name}`, `{checkpoints}` and `{seed}`";
 
 const WORDS: [&str; 4] = ["inputs", "outputs", "checkpoints", "seed"];
 
-/// Takes `text` apart; what looks like a misspelt form is given as an error.
+/// Parses `text`; the error is a misspelt placeholder.
 pub(super) fn pieces(text: &str) -> Result<Vec<Piece<'_>>, String> {
     let mut pieces = Vec::new();
     let mut begin = 0;
@@ -47,7 +47,7 @@ pub(super) fn pieces(text: &str) -> Result<Vec<Piece<'_>>, String> {
                 continue;
             }
             Some(piece) => piece,
-            None if is_slip(name) => return Err(format!("`{{{name}}}` is none of {FORMS}")),
+            None if is_slip(name) => return Err(format!("`{{{name}}}` is not one of {FORMS}")),
             None => {
                 at = open + 1;
                 continue;
@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn a_command_is_taken_apart_at_its_placeholders() {
+    fn a_command_is_split_at_its_placeholders() {
         for (text, expected) in [
             ("plain", "plain"),
             ("{inputs.raw}", "<in raw>"),
@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn what_looks_like_a_slip_is_refused() {
+    fn a_misspelt_placeholder_is_refused() {
         for text in
             ["{input.raw}", "{inputs}", "{outputs.}", "{output.x}", "{sed}", "{checkpoint}", "{inputs.a.b}"]
         {

@@ -1,4 +1,4 @@
-//! Writing the archive.
+//! Writes the archive of a run.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
@@ -15,11 +15,10 @@ use crate::store::{Digest, Key, PastRun, Record, Store, StoreError};
 type Zip<'f> = ZipWriter<&'f mut File>;
 
 impl Store {
-    /// Writes a run with all its results, and all that went into them, to `path`. Gives the number of records and of
-    /// contents.
+    /// Writes a run with all its results and their inputs to `path`. Returns the number of records and of blobs.
     ///
     /// # Errors
-    /// A record or content is missing or cannot be read, or the archive cannot be written; then there is none.
+    /// A record or blob is missing or cannot be read, or the archive cannot be written; then there is no archive.
     pub fn export(&self, run: &PastRun, path: &Path) -> Result<(usize, usize), StoreError> {
         let _held = self.hold()?;
         let records = self.records_of(run)?;
@@ -27,7 +26,7 @@ impl Store {
         for record in records.values() {
             if let Some(output) = self.lost(&record.outputs)? {
                 return Err(StoreError::NotWhole(format!(
-                    "output `{output}` of `{}` is not in the store any more; run the pipeline again",
+                    "output `{output}` of `{}` is no longer in the store; run the pipeline again",
                     record.stage
                 )));
             }
@@ -35,7 +34,7 @@ impl Store {
                 blobs.extend(self.contents(stored)?);
             }
         }
-        // Files from outside, as far as they are still there.
+        // Files from outside, as far as they still exist.
         for item in records.values().flat_map(|record| &record.inputs).flat_map(|input| &input.items) {
             if let Some(fsx::Entry::File(bytes)) = fsx::entry(&self.blob_path(&item.digest))? {
                 blobs.insert(item.digest, bytes);
@@ -79,7 +78,7 @@ impl Store {
         Ok(())
     }
 
-    /// The records of all stages that the run tells of.
+    /// The records of all stages of the run.
     fn records_of(&self, run: &PastRun) -> Result<BTreeMap<Key, Record>, StoreError> {
         let mut records = BTreeMap::new();
         for (id, stage) in &run.stages {
@@ -90,7 +89,7 @@ impl Store {
                 Some(record) => drop(records.insert(key, record)),
                 None => {
                     return Err(StoreError::NotWhole(format!(
-                        "`{id}` was {} in this run, and the store has no result of it",
+                        "`{id}` was {} in this run, and the store has no result for it",
                         stage.fate.name()
                     )));
                 }

@@ -1,5 +1,5 @@
-//! Refilling a store from an archive. Nothing in the archive is believed: every content is hashed, the key of every
-//! record is computed anew, and no name from the archive ever becomes a path.
+//! Imports an archive into a store. Nothing in the archive is trusted: every blob is hashed, the key of every record is computed
+//! again, and no name from the archive becomes a path.
 
 use std::collections::{BTreeMap, HashSet};
 use std::io::{self, Read};
@@ -14,23 +14,23 @@ use crate::store::{
     Digest, Fingerprint, Key, KeyOf, RECORD_VERSION, Record, Run, Store, StoreError, hash_file,
 };
 
-/// A record larger than this is none.
+/// The maximum size of a record.
 const LARGEST_RECORD: u64 = 64 << 20;
 
-/// What came of an import.
+/// The result of an import.
 #[derive(Clone, Debug, Default)]
 pub struct Imported {
-    /// Results that are new here.
+    /// New results.
     pub records: usize,
-    /// Results that were here already.
+    /// Results that were in the store already.
     pub known: usize,
-    /// Contents that are new here.
+    /// New blobs.
     pub blobs: usize,
-    /// What was not taken, and why not.
+    /// What was not imported, and why.
     pub refused: Vec<Refusal>,
 }
 
-/// Something in an archive that was not taken.
+/// An entry of an archive that was not imported.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Refusal {
     /// Its name in the archive.
@@ -40,10 +40,10 @@ pub struct Refusal {
 }
 
 impl Store {
-    /// Takes over what an archive holds, as far as it is what it says.
+    /// Imports the valid entries of an archive.
     ///
     /// # Errors
-    /// The archive cannot be read, or the store cannot be written; what was taken until then is whole.
+    /// The archive cannot be read, or the store cannot be written; what was imported until then is complete.
     pub fn import_archive(&self, path: &Path, key_of: KeyOf) -> Result<Imported, StoreError> {
         let mut archive = ZipArchive::new(fsx::open(path)?)
             .map_err(|error| FsError::at("read", path)(io::Error::other(error)))?;
@@ -74,13 +74,13 @@ impl Import<'_> {
         self.imported.refused.push(Refusal { name: name.to_owned(), why: why.into() });
     }
 
-    /// The records that are what their names say.
+    /// The valid records.
     fn records(&mut self, archive: &mut ZipArchive<File>, names: &[String]) -> BTreeMap<Key, Record> {
         let mut records = BTreeMap::new();
         for name in names {
             let Some(key) = name.strip_prefix(RECORDS).filter(|rest| !rest.is_empty()) else { continue };
             let Some(key) = key.strip_suffix(".json").and_then(|key| key.parse::<Key>().ok()) else {
-                self.refuse(name, "its name is no key");
+                self.refuse(name, "its name is not a key");
                 continue;
             };
             let mut bytes = Vec::new();
@@ -89,7 +89,7 @@ impl Import<'_> {
             let record = match read.map(|_| serde_json::from_slice::<Record>(&bytes)) {
                 Ok(Ok(record)) => record,
                 Ok(Err(error)) => {
-                    self.refuse(name, format!("it is no record: {error}"));
+                    self.refuse(name, format!("it is not a valid record: {error}"));
                     continue;
                 }
                 Err(error) => {
@@ -100,7 +100,7 @@ impl Import<'_> {
             if record.version != RECORD_VERSION {
                 self.refuse(name, format!("it has version {}, expected {RECORD_VERSION}", record.version));
             } else if (self.key_of)(&record) != Some(key) {
-                self.refuse(name, "it is the record of other work than its name says");
+                self.refuse(name, "its key does not match its name");
             } else {
                 records.insert(key, record);
             }
@@ -108,7 +108,7 @@ impl Import<'_> {
         records
     }
 
-    /// Takes the contents that records name, then the records whose contents are all here.
+    /// Imports the blobs of the records, then the records whose blobs are complete.
     fn take(
         &mut self,
         archive: &mut ZipArchive<File>,
@@ -130,7 +130,7 @@ impl Import<'_> {
         for (digest, bytes) in wanted {
             self.take_blob(archive, path, &folder, digest, bytes)?;
         }
-        // What is in a folder is known once its list is there, and hashed.
+        // The files of a folder are known once its list is imported and hashed.
         let mut inside: BTreeMap<Digest, u64> = BTreeMap::new();
         for stored in
             records.values().flat_map(|record| record.outputs.values()).filter(|stored| stored.folder)
@@ -172,7 +172,7 @@ impl Import<'_> {
             }
         }
         let Ok(entry) = archive.by_name(&name) else { return Ok(()) };
-        // One byte more than it should have shows that it is too long, however long it is.
+        // Reading one byte more than expected is enough to see that it is too long.
         let limit = bytes.unwrap_or_else(|| entry.size()).saturating_add(1);
         let copy = folder.join(digest.hex());
         if let Err(error) = fsx::write_from(&copy, entry.take(limit)) {
@@ -188,7 +188,7 @@ impl Import<'_> {
             self.imported.blobs += 1;
         } else {
             fsx::remove_file(&copy)?;
-            self.refuse(&name, format!("its content is {}, not what its name says", seen.short()));
+            self.refuse(&name, format!("its content is {}, which does not match its name", seen.short()));
         }
         Ok(())
     }

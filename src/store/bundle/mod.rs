@@ -1,9 +1,9 @@
-//! A run as one archive: a zip file that is a Workflow Run RO-Crate, and from which a store elsewhere can be refilled.
+//! A run as one archive: a zip file that is a Workflow Run RO-Crate and that another store can import.
 //!
 //! ```text
-//! ro-crate-metadata.json     what is in it and what made what, for people and programs that know RO-Crate
-//! pipeline.yaml              the pipeline file of the run, where the run noted it
-//! run/run.json, events.jsonl the run's own notes
+//! ro-crate-metadata.json     contents and provenance, for people and programs that know RO-Crate
+//! pipeline.yaml              the pipeline file, if it is in the run's manifest
+//! run/run.json, events.jsonl manifest and event log of the run
 //! records/<key>.json         as in the store
 //! blobs/<digest>             as in the store
 //! logs/<stage>-<key>.log
@@ -19,5 +19,5 @@ pub use import::{Imported, Refusal};
 
 /// Folder of the archive for records.
 const RECORDS: &str = "records/";
-/// Folder of the archive for contents.
+/// Folder of the archive for blobs.
 const BLOBS: &str = "blobs/";

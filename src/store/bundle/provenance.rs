@@ -1,6 +1,6 @@
-//! `ro-crate-metadata.json`: what is in the archive and what made what.
+//! `ro-crate-metadata.json`: contents and provenance of the archive.
 //!
-//! After RO-Crate 1.1, the profiles Process Run Crate 0.5 and Workflow Run Crate 0.5 (researchobject.org/workflow-run-crate)
+//! Follows RO-Crate 1.1, the profiles Process Run Crate 0.5 and Workflow Run Crate 0.5 (researchobject.org/workflow-run-crate)
 //! and Workflow RO-Crate 1.0: the pipeline file is the main entity, the run a `CreateAction` with it as instrument, and
 //! every stage a `CreateAction` with its kind as instrument, its inputs as objects and its outputs as results.
 
@@ -28,7 +28,7 @@ const WORKFLOW: (&str, &str, &str) = (
     "1.0-RELEASE",
 );
 
-/// What the archive holds.
+/// The contents of the archive.
 pub(super) struct Crate<'a> {
     pub run: &'a PastRun,
     pub records: &'a BTreeMap<Key, Record>,
@@ -37,7 +37,7 @@ pub(super) struct Crate<'a> {
 }
 
 impl Crate<'_> {
-    /// The text of the pipeline file, where the run noted it.
+    /// The text of the pipeline file, if it is in the run's manifest.
     pub fn pipeline(&self) -> Option<&str> {
         self.run.manifest["source"].as_str()
     }
@@ -64,7 +64,7 @@ pub(super) fn describe(all: &Crate<'_>) -> Value {
     })
 }
 
-/// References to entities: one by itself, several as a list.
+/// References to entities: one alone, several as a list.
 fn ids(ids: impl IntoIterator<Item = String>) -> Value {
     let mut all: Vec<Value> = ids.into_iter().map(|id| json!({ "@id": id })).collect();
     if all.len() == 1 { all.remove(0) } else { Value::Array(all) }
@@ -246,7 +246,7 @@ fn outputs(record: &Record) -> impl Iterator<Item = Digest> {
     record.outputs.values().map(|stored| stored.digest)
 }
 
-/// A content: its entry in the archive, or a name for one that is not in it.
+/// A blob: its entry in the archive, or an identifier for one that is not in it.
 fn at(all: &Crate<'_>, digest: &Digest) -> String {
     if all.blobs.contains_key(digest) { blob(digest) } else { format!("#blake3-{digest}") }
 }

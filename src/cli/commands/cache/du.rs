@@ -1,4 +1,4 @@
-//! `dril-pipe cache du`: what takes room in the store, and for whom.
+//! `dril-pipe cache du`: disk usage of the cache, by folder and by stage.
 
 use std::process::ExitCode;
 
@@ -10,7 +10,7 @@ use crate::cli::terminal::{count, print, printable, shown};
 use crate::cli::{columns, pipeline};
 use crate::error::Error;
 
-/// At most so many stages are listed for people.
+/// The number of stages in the human-readable list.
 const MOST_STAGES: usize = 25;
 
 pub(in crate::cli) fn main(args: &DuArgs) -> Result<ExitCode, Error> {
@@ -46,12 +46,7 @@ pub(in crate::cli) fn main(args: &DuArgs) -> Result<ExitCode, Error> {
     }
     if usage.unnamed.files > 0 {
         let what = "files from outside, leftovers".to_owned();
-        rows.push(vec![
-            what,
-            String::new(),
-            size(usage.unnamed.bytes),
-            count(usage.unnamed.files, "content"),
-        ]);
+        rows.push(vec![what, String::new(), size(usage.unnamed.bytes), count(usage.unnamed.files, "blob")]);
     }
     if !rows.is_empty() {
         text += "\nby stage:\n";

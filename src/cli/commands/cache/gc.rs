@@ -1,4 +1,4 @@
-//! `dril-pipe cache gc`: makes room in the store.
+//! `dril-pipe cache gc`: removes unused and old results from the cache.
 
 use std::collections::HashSet;
 use std::path::Path;
@@ -17,7 +17,7 @@ use crate::plan::{self, Verdict};
 use crate::session::LockFile;
 use crate::store::{Key, Store, Sweep, Swept};
 
-/// At most so many results are listed for people.
+/// The number of results in the human-readable list.
 const MOST_RESULTS: usize = 20;
 
 pub(in crate::cli) fn main(args: &GcArgs, registry: &Registry) -> Result<ExitCode, Error> {
@@ -36,7 +36,7 @@ pub(in crate::cli) fn main(args: &GcArgs, registry: &Registry) -> Result<ExitCod
     Ok(ExitCode::SUCCESS)
 }
 
-/// The keys that a pipeline file needs in any of its profiles, or that a lock file names.
+/// The keys that a pipeline file needs in any of its profiles, or that a lock file lists.
 fn kept_by(path: &Path, store: &Store, registry: &Registry) -> Result<Vec<Key>, Error> {
     if path.extension().is_some_and(|ending| ending == "lock") {
         let text = fsx::read(path)?;
@@ -52,9 +52,9 @@ fn kept_by(path: &Path, store: &Store, registry: &Registry) -> Result<Vec<Key>, 
         }));
     }
     if keys.is_empty() {
-        let text = format!("`{}` has no results in this store that could be kept", path.display());
+        let text = format!("`{}` has no results in this cache to keep", path.display());
         return Err(Error::new(ErrorKind::Usage, text)
-            .hint("is it the right store? nothing was removed; leave `--keep` out to go on"));
+            .hint("nothing was removed; check `--cache`, or run again without `--keep`"));
     }
     Ok(keys)
 }
@@ -72,20 +72,19 @@ fn text(swept: &Swept, dry_run: bool) -> String {
     }
     let word = if dry_run { "would remove" } else { "removed" };
     text += &format!(
-        "{word} {}, {}, {} of checkpoints and {} of logs: {}; {} of contents stay\n",
+        "{word} {}, {}, {} of checkpoints and {} of logs: {}; {} of blobs remain\n",
         count(swept.records.len(), "result"),
-        count(swept.blobs, "content"),
+        count(swept.blobs, "blob"),
         count(swept.checkpoints, "folder"),
         count(swept.runs, "run"),
         size(swept.freed),
         size(swept.left),
     );
     if swept.in_use > 0 {
-        text +=
-            &format!("{} stay because a process that runs now uses them\n", count(swept.in_use, "result"));
+        text += &format!("{} remain because a running process uses them\n", count(swept.in_use, "result"));
     }
     if swept.too_much {
-        text += "that is still more than the size that was asked for: all of it is kept or in use\n";
+        text += "this is still more than `--max-size`: everything that remains is kept or in use\n";
     }
     text
 }

@@ -1,4 +1,4 @@
-//! `dril-pipe cache`: looking after the store.
+//! `dril-pipe cache`: manages the cache.
 
 mod du;
 mod gc;
@@ -24,7 +24,7 @@ pub(in crate::cli) fn main(args: &CacheArgs, registry: &Registry) -> Result<Exit
     }
 }
 
-/// The key of a record, computed anew.
+/// Computes the key of a record again.
 fn key_of(record: &Record) -> Option<Key> {
     key_of_record(record).ok()
 }

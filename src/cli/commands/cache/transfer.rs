@@ -1,4 +1,4 @@
-//! `dril-pipe cache export` and `import`: results and their provenance in one archive, and back.
+//! `dril-pipe cache export` and `import`: a run with its results and provenance as one archive, and back.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -22,7 +22,7 @@ pub(super) fn export(args: &ExportArgs) -> Result<ExitCode, Error> {
     let (records, blobs) = store.export(&run, &path).map_err(|error| match error {
         StoreError::NotWhole(text) => {
             Error::new(ErrorKind::Io, format!("cannot export run {}: {text}", run.id))
-                .hint("only a run that is complete can be exported; `dril-pipe runs` lists them")
+                .hint("only a complete run can be exported; `dril-pipe runs` lists the runs")
         }
         other => other.into(),
     })?;
@@ -37,7 +37,7 @@ pub(super) fn export(args: &ExportArgs) -> Result<ExitCode, Error> {
         print(&format!("{json:#}\n"))?;
         return Ok(ExitCode::SUCCESS);
     }
-    let (records, blobs) = (count(records, "result"), count(blobs, "content"));
+    let (records, blobs) = (count(records, "result"), count(blobs, "blob"));
     print(&format!("{}: run {} with {records} and {blobs}, {}\n", shown(&path), run.id, size(bytes)))?;
     Ok(ExitCode::SUCCESS)
 }
@@ -57,15 +57,15 @@ pub(super) fn import(args: &ImportArgs) -> Result<ExitCode, Error> {
         print(&format!("{json:#}\n"))?;
     } else {
         let known = if imported.known > 0 {
-            format!(", {} were here already", imported.known)
+            format!(", {} already in the cache", imported.known)
         } else {
             String::new()
         };
-        let (records, blobs) = (count(imported.records, "result"), count(imported.blobs, "content"));
-        print(&format!("took {records} and {blobs} from {}{known}\n", shown(&args.archive)))?;
+        let (records, blobs) = (count(imported.records, "result"), count(imported.blobs, "blob"));
+        print(&format!("imported {records} and {blobs} from {}{known}\n", shown(&args.archive)))?;
     }
     for refusal in &imported.refused {
-        print_error(&format!("error: did not take `{}`: {}\n", printable(&refusal.name), refusal.why));
+        print_error(&format!("error: did not import `{}`: {}\n", printable(&refusal.name), refusal.why));
     }
     let code = if imported.refused.is_empty() { exit_codes::OK } else { exit_codes::CHECK_FAILED };
     Ok(ExitCode::from(code))

@@ -1,4 +1,4 @@
-//! `dril-pipe cache verify`: is the store what it says?
+//! `dril-pipe cache verify`: hashes every blob and checks every record.
 
 use std::process::ExitCode;
 
@@ -19,7 +19,7 @@ pub(in crate::cli) fn main(args: &VerifyArgs) -> Result<ExitCode, Error> {
     } else {
         print(&text(&verified, args.repair))?;
     }
-    let open = verified.damage.len() > verified.mended;
+    let open = verified.damage.len() > verified.repaired;
     Ok(ExitCode::from(if open { exit_codes::CHECK_FAILED } else { exit_codes::OK }))
 }
 
@@ -30,20 +30,20 @@ fn text(verified: &Verified, repair: bool) -> String {
         text += &format!("{} {}\n", shown(damage.path()), damage.text());
     }
     let looked = format!(
-        "{} of {} and {} looked at",
-        count(verified.blobs, "content"),
+        "checked {} ({}) and {}",
+        count(verified.blobs, "blob"),
         size(verified.bytes),
         count(verified.records, "record")
     );
-    let found = count(verified.damage.len(), "fault");
+    let found = count(verified.damage.len(), "problem");
     text += &match (verified.damage.is_empty(), repair) {
         (true, _) => format!("{}: {looked}\n", terminal.paint(Style::Good, "sound")),
         (false, true) => format!(
-            "{}: {looked}, {found} mended; what was moved is in `quarantine-v1` of the store\n",
-            terminal.paint(Style::Notable, "mended")
+            "{}: {looked}; {found}; moved files are in `quarantine-v1` of the cache\n",
+            terminal.paint(Style::Notable, "repaired")
         ),
         (false, false) => format!(
-            "{}: {looked}, {found}; `--repair` moves them away, and the next run makes what it needs anew\n",
+            "{}: {looked}; {found}; `--repair` moves the files to quarantine, and the next run rebuilds what it needs\n",
             terminal.paint(Style::Bad, "damaged")
         ),
     };
@@ -58,6 +58,6 @@ fn as_json(verified: &Verified) -> Value {
         .collect();
     json!({
         "contents": verified.blobs, "bytes": verified.bytes, "records": verified.records,
-        "damage": damage, "mended": verified.mended,
+        "damage": damage, "repaired": verified.repaired,
     })
 }

@@ -1,4 +1,4 @@
-//! `dril-pipe diff`: two runs side by side: what differs in parameters, inputs and results, stage by stage.
+//! `dril-pipe diff`: compares two runs, stage by stage: parameters, inputs and results.
 
 use std::collections::BTreeSet;
 use std::process::ExitCode;
@@ -16,11 +16,11 @@ use crate::store::{PastRun, Record, Store, Stored};
 
 /// Larger results are compared by digest only.
 const LARGEST: u64 = 1 << 20;
-/// At most so many lines of a result are shown that differ.
+/// The number of differing lines of a result that are shown.
 const MOST_LINES: usize = 12;
-/// The room of one side.
+/// The width of one side.
 const SIDE: usize = 44;
-/// Endings of results that are lines of text.
+/// Extensions of results that are text.
 const TEXTS: [&str; 5] = ["md", "csv", "txt", "json", "tex"];
 
 pub(in crate::cli) fn main(args: &DiffArgs) -> Result<ExitCode, Error> {
@@ -62,7 +62,7 @@ struct Pair<'a> {
 
 fn side(store: &Store, run: &PastRun, id: &str) -> Result<Side, Error> {
     let Some(stage) = run.stages.get(id) else {
-        return Ok(Side { fate: "not there", key: None, record: None });
+        return Ok(Side { fate: "missing", key: None, record: None });
     };
     let record = match stage.key {
         Some(key) => store.record(&key)?,
@@ -72,7 +72,7 @@ fn side(store: &Store, run: &PastRun, id: &str) -> Result<Side, Error> {
 }
 
 impl Side {
-    /// The same work with the same end; whether it was cached or ran makes no difference.
+    /// True for the same key and the same outcome; cached or run makes no difference.
     fn same(&self, other: &Self) -> bool {
         self.key == other.key && self.key.is_some() && self.record.is_some() == other.record.is_some()
     }
@@ -164,7 +164,7 @@ fn text(
 
 fn result(store: &Store, name: &str, then: Option<&Stored>, now: Option<&Stored>) -> Result<String, Error> {
     let (Some(then), Some(now)) = (then, now) else {
-        return Ok(format!("  result `{name}` is only in one of them\n"));
+        return Ok(format!("  result `{name}` is in only one of the runs\n"));
     };
     let short = |stored: &Stored| format!("{} ({})", stored.digest.short(), size(stored.bytes));
     let mut text = format!("  result `{name}`: {} -> {}\n", short(then), short(now));
@@ -177,7 +177,7 @@ fn result(store: &Store, name: &str, then: Option<&Stored>, now: Option<&Stored>
         text.push('\n');
     }
     if let Some(more) = lines.len().checked_sub(MOST_LINES).filter(|more| *more > 0) {
-        text += &format!("    and {more} lines more\n");
+        text += &format!("    and {more} more lines\n");
     }
     Ok(text)
 }

@@ -1,4 +1,4 @@
-//! `dril-pipe explain`: why stages are stale, or ran the last time, back to the first cause.
+//! `dril-pipe explain`: why stages are stale, or why they ran last time, traced back to the first cause.
 
 use std::collections::VecDeque;
 use std::process::ExitCode;
@@ -15,15 +15,15 @@ use crate::plan::{self, Explanation, Explanations, Plan, Reason, Verdict};
 use crate::resolve::StageIndex;
 use crate::store::{Digest, Store};
 
-/// At most so many stages behind one input are told to people; `--json` has all.
-const MOST_CAUSES: usize = 3;
-/// At most so many reasons of one stage.
+/// The number of upstream stages that are listed per input; `--json` has all.
+const MAX_CAUSES: usize = 3;
+/// The number of reasons that are listed per stage.
 const MOST_REASONS: usize = 12;
-/// At most so many stages in a row that only pass on what is behind them.
+/// The number of stages in a row that are listed although nothing in them differs.
 const MOST_PASSED: usize = 3;
-/// Deeper lines are indented no more.
+/// The deepest indentation.
 const DEEPEST_INDENT: usize = 12;
-/// Lists in lists in the JSON.
+/// The depth of nested lists in the JSON.
 const DEEPEST: usize = 20;
 
 pub(in crate::cli) fn main(args: &ExplainArgs, registry: &Registry) -> Result<ExitCode, Error> {
@@ -37,7 +37,7 @@ pub(in crate::cli) fn main(args: &ExplainArgs, registry: &Registry) -> Result<Ex
     let asked: Vec<StageIndex> = picked.into_iter().filter(is_told).collect();
     if args.look.stages.is_empty() && !args.look.json {
         let text = if asked.is_empty() {
-            "every stage is up to date; name one to see what made it run the last time\n".to_owned()
+            "every stage is up to date; name one to see why it ran last time\n".to_owned()
         } else {
             overview::text(&plan, Terminal::stdout())
         };
@@ -66,7 +66,7 @@ struct Teller<'a> {
     store: &'a Store,
     terminal: Terminal,
     explained: &'a Explanations,
-    /// What stands in the output already.
+    /// The stages that are in the output already.
     told: Vec<bool>,
 }
 
@@ -81,11 +81,11 @@ impl<'a> Teller<'a> {
         text += &format!(": {}\n", self.standing(explanation.stage)?);
         let fresh = matches!(self.plan.verdict(explanation.stage), Some(Verdict::Cached { .. }));
         match (explanation.against, fresh) {
-            (None, true) => text += "  no earlier record of it to compare with\n",
+            (None, true) => text += "  there is no earlier record to compare with\n",
             (None, false) => {}
             (Some(key), _) => {
                 let made = self.store.made_at(&key)?.map(age).unwrap_or_default();
-                text += &format!("  compared with what was made {made} (key {})\n", key.short());
+                text += &format!("  compared with its record from {made} (key {})\n", key.short());
             }
         }
         self.below(at, &mut text);
@@ -146,16 +146,15 @@ impl<'a> Teller<'a> {
                 (port, shown) = (&cause.port, 0);
             }
             shown += 1;
-            if shown <= MOST_CAUSES {
+            if shown <= MAX_CAUSES {
                 let stage = self.at(cause.at).stage;
-                let line =
-                    format!("{indent}input `{port}` comes from {}: {}", self.id(stage), self.verdict(stage));
+                let line = format!("{indent}input `{port}` from {}: {}", self.id(stage), self.verdict(stage));
                 steps.push(Next::Line(line + "\n"));
                 let (end, passed) = self.passed(cause.at);
                 if passed > MOST_PASSED {
                     let stage = self.at(end).stage;
                     let line = format!(
-                        "{indent}  by way of {passed} more stages, from {}: {}",
+                        "{indent}  through {passed} more stages, from {}: {}",
                         self.id(stage),
                         self.verdict(stage)
                     );
@@ -164,10 +163,9 @@ impl<'a> Teller<'a> {
                 } else {
                     steps.push(Next::Below { at: cause.at, depth: depth + 1 });
                 }
-            } else if shown == MOST_CAUSES + 1 {
+            } else if shown == MAX_CAUSES + 1 {
                 let all = causes.iter().filter(|other| other.port == port).count();
-                let line =
-                    format!("{indent}input `{port}` comes from {} more such stages\n", all - MOST_CAUSES);
+                let line = format!("{indent}input `{port}` from {} more such stages\n", all - MAX_CAUSES);
                 steps.push(Next::Line(line));
             }
         }
@@ -191,7 +189,7 @@ impl<'a> Teller<'a> {
             Reason::Input { port, from, old, new } if old.is_some() || new.is_some() => {
                 format!("input `{port}` differs ({}): {} -> {}", printable(from), short(old), short(new))
             }
-            Reason::New => "new: there is no earlier record of it".to_owned(),
+            Reason::New => "new: there is no earlier record".to_owned(),
             other => why::text(std::slice::from_ref(other)),
         }
     }
@@ -202,9 +200,9 @@ impl<'a> Teller<'a> {
 
     fn verdict(&self, stage: StageIndex) -> &'static str {
         match self.plan.verdict(stage) {
-            Some(Verdict::Cached { .. }) => "up to date, but another content than then",
+            Some(Verdict::Cached { .. }) => "up to date, but its content differs from then",
             Some(Verdict::Run { .. }) => "will run",
-            _ => "depends on others that will run",
+            _ => "depends on stages that will run",
         }
     }
 
@@ -213,10 +211,10 @@ impl<'a> Teller<'a> {
         Ok(match self.plan.verdict(stage) {
             Some(Verdict::Cached { key, .. }) => {
                 let made = self.store.made_at(key)?.map(age).unwrap_or_default();
-                format!("up to date, made {made} (key {}); against the one before:", key.short())
+                format!("up to date since {made} (key {}); compared with the record before:", key.short())
             }
             Some(Verdict::Run { key, .. }) => format!("will run (key {})", key.short()),
-            _ => "runs once others have run, unless its inputs come out as before".to_owned(),
+            _ => "runs after the stages upstream, if its inputs change".to_owned(),
         })
     }
 

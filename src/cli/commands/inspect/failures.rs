@@ -1,4 +1,4 @@
-//! What runs of the past say of stages that are to be run: whether the last try failed, and why.
+//! Failures in past runs: whether the last try of a stage failed, and why.
 
 use std::collections::HashMap;
 
@@ -6,7 +6,7 @@ use crate::error::Error;
 use crate::plan::{Plan, Verdict};
 use crate::store::{Fate, Key, Store};
 
-/// So many runs of the past are searched.
+/// The number of past runs that are searched.
 const RUNS: usize = 20;
 
 /// Messages of failed stages, by key.
@@ -16,10 +16,7 @@ pub(in crate::cli) struct Failures {
 }
 
 impl Failures {
-    /// Those of the latest runs of the plan's pipeline and profile.
-    ///
-    /// # Errors
-    /// The store cannot be read.
+    /// The failures in the latest runs of the plan's pipeline and profile.
     pub(in crate::cli) fn of(plan: &Plan<'_>, store: &Store) -> Result<Self, Error> {
         let mut failures = Self::default();
         if plan.steps.iter().all(|(_, verdict)| matches!(verdict, Verdict::Cached { .. })) {
@@ -39,7 +36,7 @@ impl Failures {
         Ok(failures)
     }
 
-    /// Why the latest try to make this key failed; `None` where it did not.
+    /// Why the latest try of this key failed; `None` where it did not.
     pub(in crate::cli) fn message(&self, key: &Key) -> Option<&str> {
         self.messages.get(key).map(String::as_str)
     }

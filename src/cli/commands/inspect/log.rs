@@ -1,4 +1,4 @@
-//! `dril-pipe log`: what a stage printed in the latest run that started it, or in a given one.
+//! `dril-pipe log`: the log of a stage, of the latest run that started it or of a given run.
 
 use std::process::ExitCode;
 
@@ -13,7 +13,7 @@ use crate::fsx;
 use crate::resolve::Pattern;
 use crate::store::{Fate, PastRun, Store};
 
-/// Logs are printed up to so many lines unless more are asked for.
+/// The default number of lines.
 const LINES: usize = 10_000;
 
 pub(in crate::cli) fn main(args: &LogArgs) -> Result<ExitCode, Error> {
@@ -53,7 +53,7 @@ fn page(run: &PastRun, id: &str, lines: &[String], titled: bool) -> String {
     let Some(stage) = run.stages.get(id) else { return String::new() };
     let mut text = String::new();
     if titled || lines.is_empty() {
-        let nothing = if lines.is_empty() { "; it printed nothing" } else { "" };
+        let nothing = if lines.is_empty() { "; the log is empty" } else { "" };
         text += &format!("==> {id}: {} in run {}, {}{nothing}\n", stage.fate.name(), run.id, age(run.began));
     }
     for line in lines {
@@ -61,7 +61,7 @@ fn page(run: &PastRun, id: &str, lines: &[String], titled: bool) -> String {
         text.push('\n');
     }
     if let Some(error) = &stage.error {
-        text += &format!("==> it failed: {}\n", printable(error).trim_end());
+        text += &format!("==> failed: {}\n", printable(error).trim_end());
     }
     text
 }

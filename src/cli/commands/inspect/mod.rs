@@ -1,4 +1,4 @@
-//! The commands that look at the store and at runs, and change nothing.
+//! The read-only commands: they inspect the store and its runs.
 
 pub(in crate::cli) mod diff;
 pub(in crate::cli) mod explain;
@@ -16,7 +16,7 @@ use crate::cli::terminal::duration;
 
 pub(super) use pick::{pick_run, pick_stages};
 
-/// How long ago something was: `3 h 12 min ago`. A clock that was set back makes nothing negative.
+/// The age of a time: `3 h 12 min ago`. A time in the future is `0 s ago`.
 pub(super) fn age(time: SystemTime) -> String {
     let seconds = SystemTime::now().duration_since(time).unwrap_or_default().as_secs();
     if seconds < 60 {
@@ -31,7 +31,7 @@ pub(super) fn epoch(time: SystemTime) -> f64 {
     time.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default().as_millis() as f64 / 1000.0
 }
 
-/// Seconds that were read from a file, for people.
+/// A duration for people, from seconds.
 fn seconds(seconds: f64) -> String {
     duration(Duration::try_from_secs_f64(seconds).unwrap_or_default())
 }
@@ -57,12 +57,12 @@ mod tests {
 
     #[test]
     fn sizes_have_a_unit_that_fits() {
-        let told = [0, 1023, 1024, 1_048_575, 5 << 30].map(size);
-        assert_eq!(told, ["0 B", "1023 B", "1.0 KiB", "1.0 MiB", "5.0 GiB"]);
+        let texts = [0, 1023, 1024, 1_048_575, 5 << 30].map(size);
+        assert_eq!(texts, ["0 B", "1023 B", "1.0 KiB", "1.0 MiB", "5.0 GiB"]);
     }
 
     #[test]
-    fn what_lies_in_the_future_is_as_old_as_now() {
+    fn a_time_in_the_future_is_as_old_as_now() {
         assert_eq!(age(SystemTime::now() + Duration::from_secs(1000)), "0 s ago");
     }
 }

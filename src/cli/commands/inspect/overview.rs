@@ -1,4 +1,4 @@
-//! `dril-pipe explain` without a stage: one line for each cause, with the stages that follow from it counted.
+//! `dril-pipe explain` without a stage: one line per cause, with the number of stages downstream.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -9,25 +9,25 @@ use crate::cli::{columns, why};
 use crate::plan::{Plan, Reason, Verdict};
 use crate::resolve::StageIndex;
 
-/// At most so many lines; `--json` has all.
+/// The number of lines; `--json` has all.
 const MOST_LINES: usize = 200;
 
-/// One cause: instances of one stage that differ in the same way.
+/// One cause: instances of a stage that differ in the same way.
 struct Line {
     instances: Vec<StageIndex>,
     why: String,
-    /// Stages that depend on one of them.
+    /// The number of stages downstream.
     behind: usize,
 }
 
-/// The causes of all that is stale in a plan.
+/// The causes of all stale stages in a plan.
 pub(super) fn text(plan: &Plan<'_>, terminal: Terminal) -> String {
     let lines = lines(plan);
     let names = Names::new(plan.graph);
     let cells = |line: &Line| {
         let behind = match line.behind {
             0 => String::new(),
-            behind => format!("; {} behind", count(behind, "stage")),
+            behind => format!("; {} downstream", count(behind, "stage")),
         };
         vec![names.group(&line.instances), format!("{}{behind}", line.why)]
     };
@@ -35,12 +35,12 @@ pub(super) fn text(plan: &Plan<'_>, terminal: Terminal) -> String {
     let stale = plan.steps.iter().filter(|(_, verdict)| !matches!(verdict, Verdict::Cached { .. })).count();
     let title = format!("{}, profile {}", plan.graph.pipeline, plan.graph.profile);
     let mut text = terminal.paint(Style::Strong, &title);
-    text += &format!(": {} not up to date, for {}\n\n", count(stale, "stage"), count(lines.len(), "cause"));
+    text += &format!(": {} not up to date, {}\n\n", count(stale, "stage"), count(lines.len(), "cause"));
     text += &columns::render(&rows, terminal.width.unwrap_or(usize::MAX), &|_, cell| cell);
     if let Some(more) = lines.len().checked_sub(MOST_LINES).filter(|more| *more > 0) {
         text += &format!("  and {more} more; `--json` has all\n");
     }
-    text + "\nname a stage to see what it follows from\n"
+    text + "\nname a stage to see its causes\n"
 }
 
 fn lines<'g>(plan: &Plan<'g>) -> Vec<Line> {
@@ -66,8 +66,7 @@ fn lines<'g>(plan: &Plan<'g>) -> Vec<Line> {
     lines
 }
 
-/// Counts for each line the stages that depend on one of its own. Stages that depend on the same ones share a list, which is
-/// gone through once.
+/// Counts the stages downstream of each line. Stages that depend on the same ones share a list, which is visited once.
 fn count_behind(plan: &Plan<'_>, line_of: &HashMap<StageIndex, usize>, lines: &mut [Line]) {
     let mut lists: HashMap<*const StageIndex, (&Arc<[StageIndex]>, usize)> = HashMap::new();
     for (_, verdict) in &plan.steps {

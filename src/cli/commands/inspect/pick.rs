@@ -1,13 +1,13 @@
-//! Stages and runs as they are named on the command line.
+//! Stages and runs as named on the command line.
 
 use crate::error::{Error, ErrorKind};
 use crate::resolve::{Graph, Pattern, StageIndex};
 use crate::store::Store;
 
-/// The stages that these words mean, in node order; all for no word.
+/// The stages that these patterns match, in node order; all without patterns.
 ///
 /// # Errors
-/// A word means none.
+/// A pattern matches no stage.
 pub(in crate::cli) fn pick_stages(graph: &Graph, words: &[String]) -> Result<Vec<StageIndex>, Error> {
     let mut picked = vec![words.is_empty(); graph.stages.node_count()];
     for pattern in patterns(words)? {
@@ -18,23 +18,21 @@ pub(in crate::cli) fn pick_stages(graph: &Graph, words: &[String]) -> Result<Vec
     Ok(graph.stages.node_indices().filter(|index| picked[index.index()]).collect())
 }
 
-/// The words as patterns.
+/// Parses patterns.
 ///
 /// # Errors
-/// A word can mean no stage.
+/// A word is not a valid pattern.
 pub(super) fn patterns(words: &[String]) -> Result<Vec<Pattern<'_>>, Error> {
     words.iter().map(|word| Pattern::parse(word).map_err(Error::from)).collect()
 }
 
-/// The run that a word names: its name, the only one that begins so, `last`, or `last~2`.
+/// The run that a word names: its name, a unique prefix, `last`, or `last~2`.
 ///
 /// # Errors
-/// There is no such run, or more than one.
+/// No run matches, or several do.
 pub(in crate::cli) fn pick_run(store: &Store, word: &str) -> Result<String, Error> {
     let ids = store.run_ids()?;
-    let wrong = |text: String| {
-        Error::new(ErrorKind::Usage, text).hint("`dril-pipe runs` lists the runs of the store")
-    };
+    let wrong = |text: String| Error::new(ErrorKind::Usage, text).hint("`dril-pipe runs` lists the runs");
     if ids.is_empty() {
         return Err(wrong(format!("there are no runs in `{}`", store.root().display())));
     }
@@ -53,7 +51,7 @@ pub(in crate::cli) fn pick_run(store: &Store, word: &str) -> Result<String, Erro
     let mut fitting = ids.iter().filter(|id| id.starts_with(word) && !word.is_empty());
     match (fitting.next(), fitting.count()) {
         (Some(id), 0) => Ok(id.clone()),
-        (Some(_), more) => Err(wrong(format!("{} runs have names that begin with `{word}`", more + 1))),
-        (None, _) => Err(wrong(format!("no run is called `{word}`"))),
+        (Some(_), more) => Err(wrong(format!("{} runs start with `{word}`", more + 1))),
+        (None, _) => Err(wrong(format!("there is no run `{word}`"))),
     }
 }

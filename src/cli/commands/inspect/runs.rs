@@ -1,4 +1,4 @@
-//! `dril-pipe runs`: the runs on a store, the latest first.
+//! `dril-pipe runs`: the runs of the cache, latest first.
 
 use std::process::ExitCode;
 
@@ -48,12 +48,12 @@ fn table(runs: &[PastRun], terminal: Terminal) -> String {
     })
 }
 
-/// How it ended, in words.
+/// How it ended, as text.
 fn ending(run: &PastRun) -> String {
     let Some(end) = run.end else {
         let count = |fate| run.stages.values().filter(|stage| stage.fate == fate).count();
         let state = if run.alive { "running" } else { "died" };
-        return format!("{state}: {} ran, {} under way", count(Fate::Ran), count(Fate::Started));
+        return format!("{state}: {} ran, {} in progress", count(Fate::Ran), count(Fate::Started));
     };
     let counts = [
         (end.ran, "ran"),

@@ -1,4 +1,4 @@
-//! `dril-pipe show`: what a stage is made of and where everything in it comes from, up to the roots.
+//! `dril-pipe show`: key, parameters, outputs and provenance of a stage, up to the roots.
 
 use std::fmt::Write as _;
 use std::process::ExitCode;
@@ -12,12 +12,12 @@ use crate::cli::terminal::{Style, Terminal, cut, print, printable, shown};
 use crate::cli::{columns, pipeline};
 use crate::error::Error;
 use crate::plan::{self, Plan, Verdict};
-use crate::resolve::{From, StageIndex};
+use crate::resolve::{Origin, StageIndex};
 use crate::store::{Digest, Key, Record, Store};
 
-/// Longer values are cut for people; `--json` has them in full.
+/// Longer values are cut; `--json` has them in full.
 const LONGEST_VALUE: usize = 100;
-/// More stages than this before it are only counted for people.
+/// The number of upstream stages that are listed; `--json` has all.
 const MOST_ROOTS: usize = 60;
 
 pub(in crate::cli) fn main(args: &ShowArgs, registry: &Registry) -> Result<ExitCode, Error> {
@@ -37,7 +37,7 @@ pub(in crate::cli) fn main(args: &ShowArgs, registry: &Registry) -> Result<ExitC
 }
 
 /// An artifact that a stage reads.
-struct Origin {
+struct InputSource {
     port: &'static str,
     from: String,
     digest: Option<Digest>,
@@ -53,8 +53,8 @@ impl Viewer<'_> {
     fn key(&self, stage: StageIndex) -> (&'static str, Option<Key>) {
         match self.plan.verdict(stage) {
             Some(Verdict::Cached { key, .. }) => ("up to date", Some(*key)),
-            Some(Verdict::Run { key, .. }) => ("not made yet", Some(*key)),
-            _ => ("not made yet; its inputs are not known yet either", None),
+            Some(Verdict::Run { key, .. }) => ("not built yet", Some(*key)),
+            _ => ("not built yet, and its inputs are not known yet", None),
         }
     }
 
@@ -65,16 +65,16 @@ impl Viewer<'_> {
         }
     }
 
-    fn origins(&self, stage: StageIndex) -> Vec<Origin> {
+    fn origins(&self, stage: StageIndex) -> Vec<InputSource> {
         let graph = self.plan.graph;
         let mut origins = Vec::new();
         for wire in &graph.stages[stage].inputs {
             for source in &wire.sources {
                 let (from, digest) = match &source.from {
-                    From::File { path, key, .. } => {
+                    Origin::File { path, key, .. } => {
                         (format!("file {path}"), self.plan.files.get(key).map(|file| file.digest))
                     }
-                    From::Stage { stage, output } => {
+                    Origin::Stage { stage, output } => {
                         let digest = match self.plan.verdict(*stage) {
                             Some(Verdict::Cached { outputs, .. }) => {
                                 outputs.get(*output).map(|stored| stored.digest)
@@ -84,7 +84,7 @@ impl Viewer<'_> {
                         (format!("{}.{output}", graph.stages[*stage].id), digest)
                     }
                 };
-                origins.push(Origin { port: wire.port, from, digest });
+                origins.push(InputSource { port: wire.port, from, digest });
             }
         }
         origins
@@ -95,7 +95,7 @@ impl Viewer<'_> {
         let (standing, key) = self.key(stage);
         let record = self.record(stage)?;
         let mut text = format!("{}: {standing}\n", self.terminal.paint(Style::Strong, &node.id));
-        let seed = node.seed.map_or("draws no random number".to_owned(), |seed| format!("seed {}", seed.0));
+        let seed = node.seed.map_or("not seeded".to_owned(), |seed| format!("seed {}", seed.0));
         let _ =
             writeln!(text, "  kind        {}, revision {}, {seed}", node.kind.name(), node.kind.revision());
         if let Some(key) = key {
@@ -108,7 +108,7 @@ impl Viewer<'_> {
             let made_by = format!("dril-pipe {} on {}", print.tool, print.platform);
             let _ = writeln!(
                 text,
-                "  made        {made}{by}, took {}, {}",
+                "  built       {made}{by}, took {}, {}",
                 seconds(record.seconds),
                 printable(&made_by)
             );
@@ -147,13 +147,13 @@ impl Viewer<'_> {
 
     fn inputs(&self, stage: StageIndex) -> String {
         let rows = self.origins(stage).into_iter().map(|origin| {
-            let digest = origin.digest.map_or("(not made yet)".to_owned(), |digest| digest.short());
+            let digest = origin.digest.map_or("(not built yet)".to_owned(), |digest| digest.short());
             vec![origin.port.to_owned(), digest, printable(&origin.from)]
         });
         self.table("inputs", &rows.collect::<Vec<_>>())
     }
 
-    /// All that it rests on, roots first.
+    /// All stages upstream, roots first.
     fn provenance(&self, stage: StageIndex) -> Result<String, Error> {
         let mut before = self.plan.roots_to(stage);
         before.retain(|index| *index != stage);
@@ -164,14 +164,14 @@ impl Viewer<'_> {
             let made = match (self.record(*index)?, key) {
                 (Some(record), Some(key)) => {
                     let made = self.store.made_at(&key)?.map(age).unwrap_or_default();
-                    format!("made {made}, took {}", seconds(record.seconds))
+                    format!("built {made}, took {}", seconds(record.seconds))
                 }
                 _ => standing.to_owned(),
             };
             let kind = format!("{} r{}", node.kind.name(), node.kind.revision());
             rows.push(vec![node.id.to_string(), kind, key.map(|key| key.short()).unwrap_or_default(), made]);
         }
-        let mut text = self.table("rests on, roots first", &rows);
+        let mut text = self.table("upstream, roots first", &rows);
         if let Some(more) = before.len().checked_sub(MOST_ROOTS).filter(|more| *more > 0) {
             let _ = writeln!(text, "    and {more} more; `--json` lists all");
         }

@@ -1,4 +1,4 @@
-//! `dril-pipe status`: which stages are fresh, stale, running or failed, how old they are and how long they take.
+//! `dril-pipe status`: which stages are fresh, stale, running or failed, with their age and duration.
 
 use std::collections::BTreeMap;
 use std::process::ExitCode;
@@ -17,7 +17,7 @@ use crate::plan::{self, Estimates, Plan, Verdict};
 use crate::resolve::StageIndex;
 use crate::store::{Fate, Key, PastRun, Store};
 
-/// So many runs of the past are searched for failures.
+/// The number of past runs that are searched for failures.
 const RUNS: usize = 20;
 
 pub(in crate::cli) fn main(args: &StatusArgs, registry: &Registry) -> Result<ExitCode, Error> {
@@ -40,7 +40,7 @@ pub(in crate::cli) fn main(args: &StatusArgs, registry: &Registry) -> Result<Exi
     Ok(ExitCode::SUCCESS)
 }
 
-/// How a stage stands.
+/// The state of a stage.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum State {
     Fresh,
@@ -66,9 +66,9 @@ impl State {
 struct Line {
     stage: StageIndex,
     state: State,
-    /// When it was made, began to run, or failed.
+    /// When it was built, started or failed.
     since: Option<SystemTime>,
-    /// How long it took, or will take.
+    /// Its duration, or an estimate.
     takes: Option<Duration>,
     error: Option<String>,
 }
@@ -83,7 +83,7 @@ impl Line {
     }
 }
 
-/// What runs of this pipeline tell of stages that are not done.
+/// What past runs of this pipeline show about stages that are not done.
 struct Past {
     runs: Vec<PastRun>,
 }
@@ -103,7 +103,7 @@ impl Past {
         Ok(Self { runs })
     }
 
-    /// The latest that is told of that key with that fate.
+    /// The latest entry of that key with that fate.
     fn told(&self, key: &Key, fate: Fate) -> Option<(&PastRun, &crate::store::StageOfRun)> {
         self.runs.iter().find_map(|run| {
             let mut stages = run.stages.values();
@@ -179,7 +179,7 @@ fn table(plan: &Plan<'_>, lines: &[Line], all: bool, terminal: Terminal) -> Stri
     text + "\n" + &summary(lines) + "\n"
 }
 
-/// Ages and times of stages that stand alike.
+/// Ages and durations of stages in the same state.
 fn words(group: &[&Line]) -> String {
     let mut times: Vec<SystemTime> = group.iter().filter_map(|line| line.since).collect();
     times.sort_unstable();
@@ -197,7 +197,7 @@ fn words(group: &[&Line]) -> String {
                 format!("{word}{} to {oldest}", newest.trim_end_matches(" ago"))
             }
         }
-        (_, _, State::Behind) => "not known before others have run".to_owned(),
+        (_, _, State::Behind) => "known once the stages upstream have run".to_owned(),
         _ => String::new(),
     };
     let takes: Vec<Duration> = group.iter().filter_map(|line| line.takes).collect();

@@ -1,4 +1,4 @@
-//! `dril-pipe kinds`: what can stand after `kind:`, and what each kind takes and gives.
+//! `dril-pipe kinds`: the stage kinds with their parameters, inputs and outputs.
 
 mod schema;
 
@@ -12,7 +12,7 @@ use crate::cli::columns;
 use crate::cli::terminal::{Style, Terminal, print};
 use crate::error::{Error, ErrorKind};
 
-/// Where lines may be as long as they are, prose is still wrapped.
+/// The width of wrapped text where the output has no width.
 const PROSE: usize = 110;
 
 pub(in crate::cli) fn main(args: &KindsArgs, registry: &Registry) -> Result<ExitCode, Error> {
@@ -51,7 +51,7 @@ fn list(registry: &Registry, terminal: Terminal) -> String {
 
 fn describe(kind: &Kind, terminal: Terminal) -> String {
     let heading = |text: &str| format!("\n{}\n", terminal.paint(Style::Strong, text));
-    let seed = if kind.seeded() { "draws from its seed" } else { "draws no random number" };
+    let seed = if kind.seeded() { "seeded" } else { "not seeded" };
     let mut text = format!("{}: {}\n", terminal.paint(Style::Strong, kind.name()), kind.about());
     text += &format!("revision {}, {seed}\n", kind.revision());
     let schema = kind.schema();
@@ -63,7 +63,7 @@ fn describe(kind: &Kind, terminal: Terminal) -> String {
         text += &columns(&rows.collect::<Vec<_>>(), terminal);
     }
     let Some(ports) = ports(kind, schema.as_value()) else {
-        return text + "\nits inputs and outputs depend on its parameters\n";
+        return text + "\ninputs and outputs depend on the parameters\n";
     };
     if !ports.inputs.is_empty() {
         text += &heading("inputs");
@@ -93,7 +93,7 @@ fn arity(arity: Arity) -> &'static str {
     }
 }
 
-/// The ports under the kind's defaults, with made-up values where it has none.
+/// The ports with the kind's default parameters, and placeholder values for required ones.
 fn ports(kind: &Kind, schema: &Value) -> Option<Ports> {
     let defaults = kind.ports(&Value::Object(Map::new()));
     defaults.or_else(|_| kind.ports(&schema::sample(schema))).ok()

@@ -1,8 +1,8 @@
-//! A JSON Schema as people read it: one line a field. Knows the subset that derived schemas use.
+//! Formats a JSON Schema for people: one line per field. Supports the subset that derived schemas use.
 
 use serde_json::{Map, Value, json};
 
-/// Nested deeper than this, fields are not listed (a schema may refer to itself).
+/// The maximum depth of nested fields (a schema may refer to itself).
 const DEEPEST: usize = 6;
 
 /// One field of the parameters.
@@ -10,11 +10,11 @@ const DEEPEST: usize = 6;
 pub(super) struct Field {
     /// Dotted, from `with:`.
     pub path: String,
-    /// Its type, or the values that it takes.
+    /// Its type, or the allowed values.
     pub accepts: String,
     /// Its default as YAML, `required`, or `optional`.
     pub default: String,
-    /// What it is.
+    /// Its description.
     pub about: String,
 }
 
@@ -57,7 +57,7 @@ fn collect(root: &Value, schema: &Value, prefix: &str, depth: usize, found: &mut
     }
 }
 
-/// As YAML would have it: a plain word needs no quotes.
+/// Formats a value as YAML: a plain word without quotes.
 fn default_text(value: &Value) -> String {
     match value.as_str() {
         Some(word) if !word.is_empty() && word.chars().all(|c| c.is_alphanumeric() || "-_".contains(c)) => {
@@ -67,7 +67,7 @@ fn default_text(value: &Value) -> String {
     }
 }
 
-/// The schema itself, or the one that it refers to.
+/// The schema, or the schema that it refers to.
 fn follow<'a>(root: &'a Value, schema: &'a Value) -> &'a Value {
     let target = schema["$ref"].as_str().and_then(|target| target.strip_prefix('#'));
     target.and_then(|pointer| root.pointer(pointer)).unwrap_or(schema)

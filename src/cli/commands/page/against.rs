@@ -1,5 +1,5 @@
-//! The other side of `report --against`: an earlier run of the store, or an archive that `cache export` wrote, as plain
-//! data. Its stages are those of which a result is there.
+//! The other side of `report --against`: an earlier run of the cache or an archive of `cache export`, as plain data. It has the
+//! stages whose results exist.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -13,9 +13,9 @@ use crate::fsx;
 use crate::plan::key_of_record;
 use crate::store::{Key, Record, Store};
 
-/// What the pipeline is compared with; an archive is unpacked into a folder that goes with this value.
+/// What the pipeline is compared with; the folder into which an archive is unpacked is removed with this value.
 pub(super) struct Other {
-    /// What the page calls it.
+    /// Its name in the report.
     pub(super) name: String,
     pub(super) outcome: Outcome,
     _unpacked: Option<Unpacked>,
@@ -60,7 +60,7 @@ impl Other {
     }
 }
 
-/// A folder for the contents of an archive, removed when it is dropped.
+/// A folder for the contents of an archive, removed on drop.
 struct Unpacked(PathBuf);
 
 impl Unpacked {
@@ -73,7 +73,7 @@ impl Unpacked {
 
 impl Drop for Unpacked {
     fn drop(&mut self) {
-        // What stays behind is in the folder for temporary files.
+        // If this fails, the folder stays among the temporary files.
         let _ = fsx::remove_dir_all(&self.0);
     }
 }
@@ -82,7 +82,7 @@ fn outcome(pipeline: String, profile: String, stages: Vec<StageOutcome>) -> Outc
     Outcome { pipeline, profile, first_profile: None, command: Vec::new(), tool: String::new(), stages }
 }
 
-/// A stage whose result is in the store.
+/// A stage with a result in the store.
 fn done(id: &str, key: &Key, record: &Record, store: &Store, registry: &Registry) -> StageOutcome {
     let (name, labels) = parts(id);
     StageOutcome {
@@ -103,7 +103,7 @@ fn done(id: &str, key: &Key, record: &Record, store: &Store, registry: &Registry
     }
 }
 
-/// The outputs whose types are known: those of kinds that this program has.
+/// The outputs with known types: those of kinds that this program has.
 fn outputs(record: &Record, store: &Store, registry: &Registry) -> Vec<OutputOutcome> {
     let ports = registry.get(&record.kind).and_then(|kind| kind.ports(&record.params).ok());
     let output = |port: &dril_stage_api::Output| {

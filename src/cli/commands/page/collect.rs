@@ -1,4 +1,4 @@
-//! What a store knows of a pipeline, as plain data.
+//! Collects the results of a pipeline as plain data.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -13,11 +13,11 @@ use crate::cli::pipeline;
 use crate::error::Error;
 use crate::fsx;
 use crate::plan::{self, Plan, Verdict};
-use crate::resolve::{From, Graph, StageIndex, StageInstance};
+use crate::resolve::{Graph, Origin, StageIndex, StageInstance};
 use crate::session;
 use crate::store::{Record, Store};
 
-/// The pipeline as it stands; `folder` is where the page goes, so that it can link to what lies there.
+/// The current results of a pipeline; `folder` is the folder of the page, so that it can link to files there.
 pub(super) fn outcome(
     args: &PipelineArgs,
     graph: &Graph,
@@ -38,8 +38,8 @@ pub(super) fn outcome(
     })
 }
 
-/// The words that name the pipeline on a command line. A path from the root says where somebody keeps files, so only the
-/// file's name is taken from it.
+/// The arguments that name the pipeline on a command line. Of an absolute path, which would reveal the user's folders, only the
+/// file name is used.
 fn command(args: &PipelineArgs) -> Vec<String> {
     let file = if args.file.is_absolute() { args.file.file_name().map(Path::new) } else { None };
     let mut words = vec![file.unwrap_or(&args.file).display().to_string()];
@@ -49,7 +49,7 @@ fn command(args: &PipelineArgs) -> Vec<String> {
     words
 }
 
-/// The names of the results that lie in the folder, by stage and output.
+/// The names of the results that exist in the folder, by stage and output.
 fn files(graph: &Graph, folder: &Path) -> BTreeMap<(String, String), String> {
     let mut files = session::file_names(graph);
     files.retain(|_, name| matches!(fsx::entry(&folder.join(name)), Ok(Some(fsx::Entry::File(_)))));
@@ -117,15 +117,15 @@ fn inputs(stage: &StageInstance) -> Vec<InputOutcome> {
     let sources = stage.inputs.iter().flat_map(|wire| wire.sources.iter().map(|source| (wire.port, source)));
     let input = |(port, source): (&'static str, &crate::resolve::Source)| {
         let (stage, from) = match &source.from {
-            From::Stage { stage, output } => (Some(stage.index()), (*output).to_owned()),
-            From::File { path, .. } => (None, path.clone()),
+            Origin::Stage { stage, output } => (Some(stage.index()), (*output).to_owned()),
+            Origin::File { path, .. } => (None, path.clone()),
         };
         InputOutcome { port: port.to_owned(), stage, from, labels: source.labels.clone() }
     };
     sources.map(input).collect()
 }
 
-/// The parameters that are not what the kind takes by itself.
+/// The parameters that differ from the kind's defaults.
 fn chosen(kind: &Kind, params: &Value) -> BTreeMap<String, Value> {
     let schema = kind.schema();
     let defaults = schema.get("properties").cloned().unwrap_or_default();

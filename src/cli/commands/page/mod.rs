@@ -1,5 +1,5 @@
-//! The page about a pipeline's results: `dril-pipe report`, and the end of every run. A stage package writes the page;
-//! here its facts are collected, and its file is kept.
+//! The report: `dril-pipe report`, and the end of every run. A stage package writes the page; this module collects its data and
+//! writes the file.
 
 mod against;
 mod collect;
@@ -21,25 +21,26 @@ use crate::session;
 use crate::store::Store;
 use against::Other;
 
-/// The name of the page in the results folder.
+/// The file name of the report in the results folder.
 const FILE: &str = "report.html";
 
-/// Writes a page; with the name and the results of another run, it compares both.
+/// Renders a report; with the name and the results of another run, it compares both.
 pub type Page = fn(&Outcome, Option<(&str, &Outcome)>) -> Result<String, StageError>;
 
-/// What writes pages, and the line by which it knows its own.
+/// The function that renders reports, and the first line by which they are recognised.
 static WRITER: OnceLock<(Page, &'static str)> = OnceLock::new();
 
-/// Names what writes pages, once, before the program runs; every page begins with `mark`. Without it there are none.
+/// Registers the function that renders reports, once, before the program runs; every report starts with `mark`. Without it there
+/// are no reports.
 pub fn keep_page(page: Page, mark: &'static str) {
-    // The first one stays; there is one `main`.
+    // Only the first call counts; there is one `main`.
     let _ = WRITER.set((page, mark));
 }
 
 /// `dril-pipe report`.
 pub(in crate::cli) fn main(args: &ReportArgs, registry: &Registry) -> Result<ExitCode, Error> {
     let Some(writer) = WRITER.get() else {
-        let text = "this program was built without the stage packages, and one of them writes reports";
+        let text = "this program was built without the stage packages, which are needed for reports";
         return Err(Error::new(ErrorKind::Usage, text));
     };
     let graph = pipeline::source(&args.pipeline).load(registry)?;
@@ -51,8 +52,7 @@ pub(in crate::cli) fn main(args: &ReportArgs, registry: &Registry) -> Result<Exi
     Ok(ExitCode::SUCCESS)
 }
 
-/// Writes the page into the results folder of a run, and says where. That it cannot be written costs no result: it is
-/// said, and that is all.
+/// Writes the report to the results folder of a run, and prints its path. If it cannot be written, this is only a warning.
 pub(in crate::cli) fn after_run(args: &RunArgs, graph: &Graph, store: &Store, folder: &Path) {
     let Some(writer) = WRITER.get() else { return };
     let file = folder.join(FILE);
@@ -72,8 +72,8 @@ fn write(
 ) -> Result<(), Error> {
     let old = fsx::read_if_there(file)?;
     if old.as_ref().is_some_and(|old| !old.starts_with(mark.as_bytes())) {
-        let text = format!("`{}` is there, and no report of this program", file.display());
-        return Err(Error::new(ErrorKind::Io, text).hint("move it away, or give another file with `--out`"));
+        let text = format!("`{}` exists and is not a report of this program", file.display());
+        return Err(Error::new(ErrorKind::Io, text).hint("move it, or choose another file with `--out`"));
     }
     let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let outcome = collect::outcome(args, graph, store, folder)?;

@@ -1,4 +1,4 @@
-//! A run told in lines for people: what both the plain and the moving output print.
+//! Events as text: the lines that both plain output and progress bars print.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -8,27 +8,27 @@ use crate::cli::names::Names;
 use crate::cli::terminal::{
     Style, Terminal, count, cut, duration, estimate, print, print_error, printable, shown,
 };
-use crate::exec::{Event, Outcome};
+use crate::exec::{Event, RunOutcome};
 use crate::plan::{Counts, Plan, Verdict};
 use crate::resolve::{Graph, StageIndex};
 use crate::session::{Remaining, cut_names};
 use crate::store::Key;
 
-/// At most so many stages are named as skipped.
-const MOST_SKIPPED: usize = 8;
+/// The number of groups of skipped stages that are listed.
+const MAX_GROUPS: usize = 8;
 
-/// At most so many results are named that get a shorter name.
-const MOST_NOTES: usize = 5;
+/// The number of notes about shortened file names that are listed.
+const MAX_NOTES: usize = 5;
 
-/// Longer errors are cut; the log has what a program printed.
-const LONGEST_ERROR: usize = 4000;
+/// Longer errors are cut; the log is complete.
+const MAX_ERROR: usize = 4000;
 
-/// A line (or a block of lines) and where it goes.
+/// One or more lines, and the stream that they go to.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Line {
-    /// To standard output.
+    /// To stdout.
     Out(String),
-    /// To standard error.
+    /// To stderr.
     Error(String),
 }
 
@@ -36,7 +36,7 @@ impl Line {
     /// Prints it.
     pub fn print(self) {
         match self {
-            // A reader that has gone is no reason to stop a run of a week.
+            // A closed pipe must not stop a run of a week.
             Self::Out(text) => drop(print(&(text + "\n"))),
             Self::Error(text) => print_error(&(text + "\n")),
         }
@@ -44,20 +44,20 @@ impl Line {
 }
 
 /// Turns events into lines.
-pub(super) struct Story<'g> {
+pub(super) struct EventText<'g> {
     graph: &'g Graph,
     terminal: Terminal,
     total: usize,
     done: usize,
-    /// Cached from the start, by node index: not worth a line.
+    /// Cache hits of the plan, by node index; these get no line.
     known: Vec<bool>,
-    /// What was started, by its key: other stages may be the same work.
+    /// Started stages by key: other stages may have the same key.
     started: HashMap<Key, StageIndex>,
     failed: Vec<StageIndex>,
     skipped: Vec<StageIndex>,
 }
 
-impl<'g> Story<'g> {
+impl<'g> EventText<'g> {
     pub fn new(graph: &'g Graph, terminal: Terminal) -> Self {
         let total = graph.stages.node_count();
         Self {
@@ -77,8 +77,8 @@ impl<'g> Story<'g> {
         self.graph.stages.node_weight(stage).map_or("", |stage| &stage.id)
     }
 
-    /// Stages that are settled, of all.
-    pub fn settled(&self) -> (usize, usize) {
+    /// Finished stages, and all stages.
+    pub fn progress(&self) -> (usize, usize) {
         (self.done, self.total)
     }
 
@@ -94,8 +94,8 @@ impl<'g> Story<'g> {
         let mut text = self.terminal.paint(Style::Strong, &title);
         text += &format!(": {}, {cached} cached", count(self.total, "stage"));
         if run + depends > 0 {
-            text += &format!(", {run} to run, {depends} behind; {}", count(threads, "thread"));
-            for note in cut_names(self.graph).iter().take(MOST_NOTES) {
+            text += &format!(", {run} to run, {depends} downstream; {}", count(threads, "thread"));
+            for note in cut_names(self.graph).iter().take(MAX_NOTES) {
                 text += &format!("\n  note: {note}");
             }
         }
@@ -113,7 +113,7 @@ impl<'g> Story<'g> {
                 self.done += 1;
                 let known = self.known.get(stage.index()).copied().unwrap_or_default();
                 let twin = self.started.get(key).and_then(|twin| self.graph.stages.node_weight(*twin));
-                let more = twin.map(|twin| format!(": the same work as {}", twin.id)).unwrap_or_default();
+                let more = twin.map(|twin| format!(": same key as {}", twin.id)).unwrap_or_default();
                 (!known).then(|| self.line(Style::Quiet, "cached", *stage, &more))
             }
             Event::StageFinished { stage, took } => {
@@ -124,7 +124,7 @@ impl<'g> Story<'g> {
                 let error = failure.to_string();
                 let first = printable(error.lines().next().unwrap_or_default());
                 let more = format!(" in {} ({retry} of {of}): {first}", duration(*pause));
-                Some(self.line(Style::Notable, "again", *stage, &more))
+                Some(self.line(Style::Notable, "retry", *stage, &more))
             }
             Event::StageFailed { stage, failure: reason, log_tail, log } => {
                 self.done += 1;
@@ -132,20 +132,20 @@ impl<'g> Story<'g> {
                 Some(Line::Error(failure(self.id(*stage), &reason.to_string(), log_tail, log)))
             }
             Event::Skipped { stage, .. } => {
-                // They can be many; the end names them in groups.
+                // There can be many; the summary lists them in groups.
                 self.done += 1;
                 self.skipped.push(*stage);
                 None
             }
             Event::Stopped { stage } => Some(self.line(Style::Notable, "stopped", *stage, "")),
             Event::Waiting { stage } => {
-                Some(self.line(Style::Quiet, "waiting", *stage, " (it is being made already)"))
+                Some(self.line(Style::Quiet, "waiting", *stage, " (another process is building it)"))
             }
             Event::Stopping { out_of_time } => {
                 let text = if *out_of_time {
-                    "the time is over: running stages save their state"
+                    "time is up: running stages write a checkpoint and stop"
                 } else {
-                    "stopping: running stages save their state; once more to end at once"
+                    "stopping: running stages write a checkpoint; press Ctrl-C again to quit immediately"
                 };
                 Some(Line::Out(self.terminal.paint(Style::Notable, text)))
             }
@@ -178,32 +178,34 @@ impl<'g> Story<'g> {
             if !published.earlier.is_empty() {
                 let names = published.earlier.join(", ");
                 text += &format!(
-                    "\n  of an earlier run, as their stages were not asked for or did not finish: {names}"
+                    "\n  from an earlier run, because their stages were not selected or did not finish: {names}"
                 );
             }
             if !published.removed.is_empty() {
-                text +=
-                    &format!("\n  removed, as nothing makes them any more: {}", published.removed.join(", "));
+                text += &format!(
+                    "\n  removed, because no stage makes them any more: {}",
+                    published.removed.join(", ")
+                );
             }
         }
         text
     }
 
-    /// What the next run has to do.
+    /// What is left for the next run.
     fn left(&self, left: &Remaining) -> String {
-        let stages = Names::new(self.graph).groups(&left.stages, MOST_SKIPPED);
+        let stages = Names::new(self.graph).groups(&left.stages, MAX_GROUPS);
         let mut text = format!("\n  left: {stages}");
         if left.time.as_secs() > 0 {
             text += &format!("; about {} on {}", estimate(left.time), count(left.threads, "thread"));
         }
         if left.unknown > 0 {
-            text += &format!("; {} never ran before, so nobody knows how long", count(left.unknown, "stage"));
+            text += &format!("; no estimate for {}, which never ran before", count(left.unknown, "stage"));
         }
         text
     }
 
-    fn verdict(&self, outcome: &Outcome) -> String {
-        let Outcome { cached, ran, failed, skipped, stopped, took, out_of_time } = outcome;
+    fn verdict(&self, outcome: &RunOutcome) -> String {
+        let RunOutcome { cached, ran, failed, skipped, stopped, took, out_of_time } = outcome;
         let took = duration(*took);
         if outcome.is_complete() && *ran == 0 {
             let text = self.terminal.paint(Style::Good, "nothing to do");
@@ -222,7 +224,7 @@ impl<'g> Story<'g> {
         let mut text = if *stopped > 0 {
             let word = if *out_of_time { "out of time" } else { "stopped" };
             let word = self.terminal.paint(Style::Notable, word);
-            format!("{word}: {counts}, in {took}; the next run goes on from here")
+            format!("{word}: {counts}, in {took}; the next run resumes")
         } else {
             format!("{}: {counts}, in {took}", self.terminal.paint(Style::Bad, "failed"))
         };
@@ -232,18 +234,18 @@ impl<'g> Story<'g> {
         if !self.skipped.is_empty() {
             let mut skipped = self.skipped.clone();
             skipped.sort_unstable();
-            text += &format!("\n  skipped: {}", Names::new(self.graph).groups(&skipped, MOST_SKIPPED));
+            text += &format!("\n  skipped: {}", Names::new(self.graph).groups(&skipped, MAX_GROUPS));
         }
         text
     }
 }
 
-/// A failed stage: the error, the end of its log, and where the whole log is.
+/// A failed stage: the error, the end of its log, and the path of the log.
 pub(super) fn failure(id: &str, error: &str, log_tail: &[String], log: &Path) -> String {
-    let error = cut(&printable(error.trim_end()), LONGEST_ERROR);
+    let error = cut(&printable(error.trim_end()), MAX_ERROR);
     let mut text = format!("error: stage `{id}` failed: {}", error.replace('\n', "\n  "));
     if !log_tail.is_empty() {
-        text += "\n  the end of its log:";
+        text += "\n  last lines of its log:";
         for line in log_tail {
             text += &format!("\n    | {}", printable(line).replace('\n', " "));
         }
@@ -257,36 +259,36 @@ mod tests {
     use petgraph::graph::DiGraph;
     use std::time::Duration;
 
-    fn told(outcome: Outcome) -> String {
+    fn verdict(outcome: RunOutcome) -> String {
         let graph = Graph { pipeline: "p".into(), profile: "q".into(), stages: DiGraph::default() };
-        Story::new(&graph, Terminal::PLAIN).verdict(&outcome)
+        EventText::new(&graph, Terminal::PLAIN).verdict(&outcome)
     }
 
     #[test]
     fn a_run_without_work_says_that_nothing_was_executed() {
-        let outcome = Outcome { cached: 110, took: Duration::from_millis(40), ..Outcome::default() };
-        assert_eq!(told(outcome), "nothing to do: 0 stages executed, all 110 cached, in 0.04 s");
+        let outcome = RunOutcome { cached: 110, took: Duration::from_millis(40), ..RunOutcome::default() };
+        assert_eq!(verdict(outcome), "nothing to do: 0 stages executed, all 110 cached, in 0.04 s");
     }
 
     #[test]
-    fn the_end_names_every_count_that_is_not_zero() {
+    fn the_summary_has_every_count_that_is_not_zero() {
         let took = Duration::from_secs(75);
-        let done = Outcome { cached: 2, ran: 3, took, ..Outcome::default() };
-        assert_eq!(told(done), "done: 3 ran, 2 cached, in 1 min 15 s");
-        let failed = Outcome { ran: 3, failed: 1, skipped: 2, took, ..Outcome::default() };
-        assert_eq!(told(failed), "failed: 3 ran, 1 failed, 2 skipped, in 1 min 15 s");
-        let stopped = Outcome { ran: 3, stopped: 4, took, ..Outcome::default() };
-        let expected = "stopped: 3 ran, 4 not finished, in 1 min 15 s; the next run goes on from here";
-        assert_eq!(told(stopped), expected);
+        let done = RunOutcome { cached: 2, ran: 3, took, ..RunOutcome::default() };
+        assert_eq!(verdict(done), "done: 3 ran, 2 cached, in 1 min 15 s");
+        let failed = RunOutcome { ran: 3, failed: 1, skipped: 2, took, ..RunOutcome::default() };
+        assert_eq!(verdict(failed), "failed: 3 ran, 1 failed, 2 skipped, in 1 min 15 s");
+        let stopped = RunOutcome { ran: 3, stopped: 4, took, ..RunOutcome::default() };
+        let expected = "stopped: 3 ran, 4 not finished, in 1 min 15 s; the next run resumes";
+        assert_eq!(verdict(stopped), expected);
     }
 
     #[test]
-    fn a_failure_shows_the_end_of_the_log_and_where_it_is() {
+    fn a_failure_shows_the_end_of_the_log_and_its_path() {
         let tail = ["epoch 3".to_owned(), "\x1b[31mloss is nan\x1b[0m".to_owned()];
         let expected = "\
 error: stage `clone` failed: the loss is not finite
   | see the log
-  the end of its log:
+  last lines of its log:
     | epoch 3
     | loss is nan
   log: cache/clone.log";
