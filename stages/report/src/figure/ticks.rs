@@ -186,7 +186,12 @@ fn logarithmic(low: f64, high: f64, wanted: usize) -> Vec<(f64, String)> {
             }
         }
     }
-    ticks
+    if ticks.len() >= 2 {
+        return ticks;
+    }
+    // Within a factor of two or so: round values as on a linear axis, where they lie on this one.
+    let values = linear(10.0_f64.powf(low), 10.0_f64.powf(high), wanted).into_iter();
+    values.map(|(value, label)| (value.log10(), label)).filter(|(place, _)| inside(*place)).collect()
 }
 
 fn log_label(times: i32, decade: i32) -> String {
@@ -215,6 +220,7 @@ mod tests {
         assert_eq!(labels(Scale::Linear, 0.0, 25_000.0), ["0", "5k", "10k", "15k", "20k", "25k"]);
         assert_eq!(labels(Scale::Log, -3.2, 0.6), ["0.001", "0.01", "0.1", "1"]);
         assert_eq!(labels(Scale::Log, 0.1, 1.2), ["2", "5", "10"]);
+        assert_eq!(labels(Scale::Log, 0.31, 0.68), ["3", "4"], "between 2 and 5");
     }
 
     #[test]

@@ -11,7 +11,7 @@ use dril_stage_api::{Artifact, StageError};
 use maud::{Markup, PreEscaped, html};
 use serde_json::Value;
 
-use super::figures::{Member, figure_of, frame};
+use super::figures::{Member, SIDE, figure_of, frame};
 use super::{Room, Section, count};
 use crate::inference::{FEWEST_EPISODES, half_width, mean};
 use crate::number::fixed;
@@ -249,14 +249,19 @@ fn score_row(id: &str, scored: Option<&Scored>) -> Markup {
     };
     html! {
         tr {
-            td { code { (id) } } td class="n" { (fixed(*a, 1)) } td class="n" { (fixed(*b, 1)) }
+            td { code { (id) } } td class="n" { (signed(*a)) } td class="n" { (signed(*b)) }
             td class="n" {
-                @if *difference > 0.0 { "+" } (fixed(*difference, 1))
+                @if *difference > 0.0 { "+" } (signed(*difference))
                 @if let Some(half) = half { " ± " (fixed(*half, 1)) }
                 @if !is_paired { "*" }
             }
         }
     }
+}
+
+/// One decimal, with the typographic minus sign.
+fn signed(value: f64) -> String {
+    fixed(value, 1).replace('-', "−")
 }
 
 /// Training logs that differ, drawn over each other.
@@ -267,9 +272,9 @@ fn curves(done: &[Pair<'_>], room: &mut Room) -> Result<Markup, StageError> {
             if ours.digest == theirs.digest {
                 continue;
             }
-            let labels = |run: &str| {
-                let run = ("run".to_owned(), run.to_owned());
-                pair.0.labels.iter().cloned().chain([run]).collect::<Vec<_>>()
+            let labels = |side: &str| {
+                let side = (SIDE.to_owned(), side.to_owned());
+                pair.0.labels.iter().cloned().chain([side]).collect::<Vec<_>>()
             };
             let members = [(labels("A"), ours), (labels("B"), theirs)];
             match groups.iter_mut().find(|(name, port, _)| *name == pair.0.name && *port == ours.name) {
@@ -284,7 +289,7 @@ fn curves(done: &[Pair<'_>], room: &mut Room) -> Result<Markup, StageError> {
             && room.take(svg.len())
         {
             bodies.push(html! {
-                details open { summary { code { (name) "." (port) } } figure { (frame(name, &PreEscaped(svg))) } }
+                details open { summary { code { (name) "." (port) } } figure { (frame(&format!("{name}.{port} of both runs"), &PreEscaped(svg))) } }
             });
         }
     }

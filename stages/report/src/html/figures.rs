@@ -101,6 +101,9 @@ fn base64(bytes: &[u8]) -> String {
     text
 }
 
+/// The label that says which of two compared runs made a file; its values are drawn over each other.
+pub(crate) const SIDE: &str = "side";
+
 /// An output with its labels, in the order of the matrix.
 pub(crate) type Member<'o> = (Vec<(String, String)>, &'o OutputOutcome);
 
@@ -135,7 +138,7 @@ pub(crate) fn automatic(outcome: &Outcome, room: &mut Room) -> Result<Option<Sec
             bodies.push(html! {
                 details {
                     summary { code { (name) "." (port) } " " span class="quiet" { (files) } }
-                    figure { (frame(name, &PreEscaped(svg))) }
+                    figure { (frame(&format!("{name}.{port}"), &PreEscaped(svg))) }
                 }
             });
         }
@@ -202,6 +205,11 @@ fn curves(params: &mut FigureParams, csv: &Csv, axes: &[&str], files: usize) {
     let keep = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect::<Vec<String>>();
     match axes {
         [] => {}
+        [rest @ .., side] if *side == SIDE => {
+            params.columns = keep(rest);
+            params.colour = keep(&[side]);
+            params.rows = if several { keep(&["measure"]) } else { Vec::new() };
+        }
         [only] if !several => params.colour = keep(&[only]),
         [rest @ .., last] if !several && files <= MOST_PANELS * 6 => {
             params.columns = keep(rest);

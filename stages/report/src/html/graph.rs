@@ -10,8 +10,8 @@ use super::Section;
 use crate::figure::escape;
 
 /// A box in pixels, and the room between two.
-const BOX: (i32, i32) = (132, 38);
-const GAP: (i32, i32) = (36, 8);
+const BOX: (i32, i32) = (124, 38);
+const GAP: (i32, i32) = (32, 8);
 /// Graphs with more stages are not drawn.
 const MOST: usize = 150;
 
@@ -137,10 +137,10 @@ fn drawing(nodes: &[Node<'_>], edges: &BTreeSet<(usize, usize)>) -> String {
             escape(node.name),
             x + 8,
             y + 16,
-            escape(&cut(node.name, 18)),
+            escape(&cut(node.name, 16)),
             x + 8,
             y + 31,
-            escape(&cut(&subtitle, 18))
+            escape(&cut(&subtitle, 17))
         );
     }
     svg + "</svg>\n"

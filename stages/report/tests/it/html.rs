@@ -428,9 +428,12 @@ fn two_runs_are_compared_by_changes_scores_and_curves() {
         "Only in A",
         "<code>old</code>",
         "<code>train.log</code>",
+        // One colour for each run: curves lie over each other, and nothing is averaged.
+        "side:",
     ] {
         assert!(text.contains(part), "{part}");
     }
+    assert!(!text.contains("mean over 2 values"), "two runs are not repetitions");
     let same = page(&ours.outcome, Some(("itself", &ours.outcome))).unwrap();
     assert!(same.contains("0 of 2 evaluations differ") && same.contains("are equal."));
 }
