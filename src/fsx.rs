@@ -147,6 +147,29 @@ pub fn open(path: &Path) -> Result<File> {
     Err(FsError::at("read", path)(io::Error::other(format!("{seen}, expected a file"))))
 }
 
+/// Makes a new file, or empties the one that is there, and opens it for writing.
+///
+/// # Errors
+/// It cannot be made.
+pub fn create(path: &Path) -> Result<File> {
+    step("write", path)?;
+    File::create(path).map_err(FsError::at("write", path))
+}
+
+/// Makes a file of these bytes where nothing is yet, in one step that works on network file systems too; false where
+/// something is.
+///
+/// # Errors
+/// It cannot be made.
+pub fn create_exclusive(path: &Path, bytes: &[u8]) -> Result<bool> {
+    step("write", path)?;
+    match OpenOptions::new().write(true).create_new(true).open(path) {
+        Ok(mut file) => write_all(&mut file, path, bytes).map(|()| true),
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Ok(false),
+        Err(error) => Err(FsError::at("make", path)(error)),
+    }
+}
+
 /// Opens a file for appending; creates it where there is none.
 pub fn open_append(path: &Path) -> Result<File> {
     step("append", path)?;

@@ -10,7 +10,10 @@
 //! | [`exec`] | `Plan` + store | [`exec::Executed`] | runs stages in child processes, publishes their outputs |
 //! | [`session`] | pipeline file + store | [`session::Finished`] | all of the above, results folder and lock file |
 //! | [`store`] | | | content-addressed blobs, records, locks |
+//! | [`remote`] | | | a cache that several machines share |
 //! | [`cli`] | arguments | exit code | the only module that prints, reads the environment or exits |
+//!
+//! [`settings`] reads `dril-pipe.toml`, which changes where and how stages run, and no result.
 //!
 //! [`kinds`] has the built-in stage kinds: any program, and files from outside.
 //!
@@ -23,8 +26,10 @@ pub mod exec;
 pub mod fsx;
 pub mod kinds;
 pub mod plan;
+pub mod remote;
 pub mod resolve;
 pub mod session;
+pub mod settings;
 pub mod spec;
 pub mod store;
 

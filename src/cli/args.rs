@@ -3,6 +3,7 @@
 mod cache;
 mod inspect;
 mod page;
+mod remote;
 pub(super) mod shell;
 mod tool;
 
@@ -18,6 +19,7 @@ use crate::spec::limits::parse_time;
 pub(super) use cache::{CacheArgs, CacheCommand, DuArgs, ExportArgs, GcArgs, ImportArgs, VerifyArgs};
 pub(super) use inspect::{DiffArgs, ExplainArgs, LogArgs, RunsArgs, ShowArgs, StatusArgs};
 pub(super) use page::ReportArgs;
+pub(super) use remote::{RemoteArgs, RemoteModeArgs, TransferArgs};
 pub(super) use shell::{CompletionsArgs, ManArgs};
 pub(super) use tool::ToolArgs;
 
@@ -156,6 +158,10 @@ pub(super) struct RunArgs {
     pub select: SelectArgs,
     #[command(flatten)]
     pub store: StoreArgs,
+    #[command(flatten)]
+    pub remote: RemoteArgs,
+    #[command(flatten)]
+    pub remote_mode: RemoteModeArgs,
     /// The folder for tables and figures [default: `results/<pipeline>-<profile>`]
     #[arg(short, long, value_name = "DIR")]
     pub out: Option<PathBuf>,

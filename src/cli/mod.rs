@@ -6,10 +6,12 @@
 mod args;
 mod columns;
 mod commands;
+mod giving;
 mod names;
 mod pipeline;
 mod report;
 mod resources;
+mod shared;
 mod signals;
 mod terminal;
 pub mod untrusted;

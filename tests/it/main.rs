@@ -32,6 +32,10 @@ mod parse;
 mod plan;
 mod programs;
 mod prop;
+#[cfg(feature = "remote")]
+mod remote;
+#[cfg(feature = "remote")]
+mod remote_net;
 mod resolve;
 mod results;
 mod samples;

@@ -14,7 +14,7 @@ struct Step {
     component: Option<(&'static str, &'static str)>,
 }
 
-const STEPS: [Step; 5] = [
+const STEPS: [Step; 6] = [
     Step { name: "format", args: "fmt --all --check", component: Some(("fmt", "rustfmt")) },
     // The engine builds and passes without rapier2d and libtorch, so its failures show within seconds.
     Step {
@@ -25,6 +25,12 @@ const STEPS: [Step; 5] = [
     Step {
         name: "small packages",
         args: "test --no-fail-fast --package xtask --package dril-stage-api --package dril-report",
+        component: None,
+    },
+    // Off by default, so nothing else builds it. With a server, `tests/remote/s3.sh` tests more.
+    Step {
+        name: "shared cache",
+        args: "test --no-fail-fast --package dril-pipe --no-default-features --features remote remote",
         component: None,
     },
     Step {
@@ -142,6 +148,6 @@ mod tests {
             let words: Vec<_> = step.args.split(' ').collect();
             words.windows(2).filter(|pair| pair[0] == flag).map(|pair| pair[1]).collect()
         };
-        assert_eq!(after(&STEPS[2], "--package"), after(&STEPS[4], "--exclude"));
+        assert_eq!(after(&STEPS[2], "--package"), after(&STEPS[5], "--exclude"));
     }
 }

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use clap::{Args, Subcommand};
 
-use super::StoreArgs;
+use super::{StoreArgs, TransferArgs};
 use crate::spec::limits::parse_size;
 
 #[derive(Debug, Args)]
@@ -27,6 +27,12 @@ pub(in crate::cli) enum CacheCommand {
     Export(ExportArgs),
     /// Add the contents of an archive to the cache; every digest and key is checked
     Import(ImportArgs),
+    /// Give results to a shared cache; goes on where an earlier one was cut off
+    Push(TransferArgs),
+    /// Take results from a shared cache; takes only what is what it says
+    Pull(TransferArgs),
+    /// Show which results are in a shared cache, and which differ from those here
+    RemoteStatus(TransferArgs),
 }
 
 #[derive(Debug, Args)]

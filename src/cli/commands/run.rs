@@ -8,8 +8,9 @@ use dril_stage_api::Registry;
 use super::{page, plan, recheck};
 use crate::cli::args::RunArgs;
 use crate::cli::report::{self, Ending};
+use crate::cli::shared::{Exchange, Taken};
 use crate::cli::terminal::{Style, Terminal, count, duration, print, shown};
-use crate::cli::{pipeline, resources, signals};
+use crate::cli::{giving, pipeline, resources, shared, signals};
 use crate::error::{Error, ErrorKind, exit_codes};
 use crate::exec::{self, ChildRunner, Executed, Options};
 use crate::session::{LockMode, UpToDate};
@@ -34,21 +35,36 @@ pub(in crate::cli) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCo
         return Ok(ExitCode::SUCCESS);
     }
     let loaded = session.load()?;
-    let plan = loaded.plan()?;
     if args.dry_run {
-        plan::show(&plan, session.store(), args.json, false)?;
+        plan::show(&loaded.plan()?, session.store(), args.json, false)?;
         return Ok(ExitCode::SUCCESS);
     }
+    let stop = signals::stop_flag()?;
+    let shared =
+        shared::open(args.remote.url.as_deref(), args.remote_mode.mode(), Some(&args.pipeline.file))?;
+    let (plan, taken) = match shared.as_ref().filter(|shared| shared.mode.reads()) {
+        Some(shared) => shared::take(shared, session.store(), &stop, || loaded.plan())?,
+        None => (loaded.plan()?, Taken::default()),
+    };
     let prepared = loaded.prepare(plan)?;
     let mut reporter = report::choose(args, loaded.graph());
     reporter.planned(prepared.plan(), options.threads);
     let runner = runner()?;
-    let stop = signals::stop_flag()?;
-    let finished = prepared.execute(&runner, &stop, &mut |event| reporter.event(event))?;
+    let (finished, given) = giving::beside(shared.as_ref(), session.store(), &stop, |on_event| {
+        prepared.execute(&runner, &stop, &mut |event| {
+            on_event(event);
+            reporter.event(event);
+        })
+    });
+    let (finished, exchange) = (finished?, Exchange { taken, given });
     // The work is done and in the store: its end is reported, even if copying the results failed.
     let error = finished.error.as_ref();
     let mut code = error.map_or_else(|| exit_code(&finished.executed), |error| error.kind().exit_code());
-    reporter.ended(&Ending { finished: &finished, exit_code: code });
+    let exchanged = shared.as_ref().map(|_| &exchange);
+    reporter.ended(&Ending { finished: &finished, exchange: exchanged, exit_code: code });
+    if let Some(shared) = &shared {
+        exchange.warn(shared);
+    }
     page::after_run(args, loaded.whole_graph(), session.store(), &finished.folder);
     if args.check_determinism && code == exit_codes::OK {
         drop(reporter);

@@ -105,6 +105,13 @@ impl Reporter for Json<'_> {
                 "stages": stages, "seconds": left.time.as_secs_f64(), "unknown": left.unknown,
             });
         }
+        if let Some(exchange) = ending.exchange {
+            let (taken, given) = (&exchange.taken, &exchange.given);
+            fields["remote"] = json!({
+                "taken": taken.results(), "bytes_taken": taken.bytes(), "given": given.new,
+                "bytes_given": given.bytes, "different": given.different.len(),
+            });
+        }
         if let Some(error) = &ending.finished.error {
             fields["error"] = json!(error.message());
         }

@@ -10,6 +10,7 @@ mod text;
 pub(super) use json::error_line;
 
 use super::args::RunArgs;
+use super::shared::Exchange;
 use super::terminal::Terminal;
 use crate::exec::Event;
 use crate::plan::Plan;
@@ -31,6 +32,8 @@ pub(super) trait Reporter {
 pub(super) struct Ending<'a> {
     /// The run.
     pub finished: &'a Finished,
+    /// What came from the shared cache and went to it; `None` where there is none.
+    pub exchange: Option<&'a Exchange>,
     /// The program's exit code.
     pub exit_code: u8,
 }

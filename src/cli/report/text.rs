@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::path::Path;
 
 use super::Ending;
+use crate::cli::commands::inspect::size;
 use crate::cli::names::Names;
 use crate::cli::terminal::{
     Style, Terminal, count, cut, duration, estimate, print, print_error, printable, shown,
@@ -171,6 +172,16 @@ impl<'g> EventText<'g> {
         let mut text = self.verdict(&ending.finished.executed.outcome);
         if let Some(left) = &ending.finished.remaining {
             text += &self.left(left);
+        }
+        if let Some(exchange) = ending.exchange.filter(|it| it.taken.results() + it.given.new > 0) {
+            let (taken, given) = (&exchange.taken, &exchange.given);
+            text += &format!(
+                "\nshared cache: took {} ({}), gave {} ({})",
+                count(taken.results(), "result"),
+                size(taken.bytes()),
+                given.new,
+                size(given.bytes)
+            );
         }
         if let Some(published) = &ending.finished.published {
             let folder = shown(&published.folder);

@@ -2,6 +2,7 @@
 
 mod du;
 mod gc;
+mod shared;
 mod transfer;
 mod verify;
 
@@ -21,6 +22,9 @@ pub(in crate::cli) fn main(args: &CacheArgs, registry: &Registry) -> Result<Exit
         CacheCommand::Du(args) => du::main(args),
         CacheCommand::Export(args) => transfer::export(args),
         CacheCommand::Import(args) => transfer::import(args),
+        CacheCommand::Push(args) => shared::push(args, registry),
+        CacheCommand::Pull(args) => shared::pull(args, registry),
+        CacheCommand::RemoteStatus(args) => shared::status(args, registry),
     }
 }
 

@@ -37,7 +37,7 @@ fn seconds(seconds: f64) -> String {
 }
 
 /// A size for people: `312 B`, `4.2 KiB`, `1.9 GiB`.
-pub(super) fn size(bytes: u64) -> String {
+pub(in crate::cli) fn size(bytes: u64) -> String {
     const UNITS: [&str; 5] = ["KiB", "MiB", "GiB", "TiB", "PiB"];
     if bytes < 1024 {
         return format!("{bytes} B");

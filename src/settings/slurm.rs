@@ -1,0 +1,185 @@
+//! How jobs reach a Slurm cluster.
+
+use std::collections::BTreeMap;
+use std::num::NonZeroUsize;
+use std::time::Duration;
+
+use globset::Glob;
+use serde::{Deserialize, Deserializer, de};
+
+use super::time;
+use crate::spec::limits::parse_size;
+
+/// What jobs ask for: for all stages under `[slurm]`, for those of a kind under `[slurm.kinds.KIND]`, for some stages under
+/// `[slurm.stages."PATTERN"]`.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct JobSettings {
+    /// `--partition`
+    pub partition: Option<String>,
+    /// `--account`
+    pub account: Option<String>,
+    /// `--qos`
+    pub qos: Option<String>,
+    /// `--time`: a stage that needs longer saves a checkpoint and goes on in another job.
+    #[serde(deserialize_with = "time")]
+    pub time: Option<Duration>,
+    /// `--mem` in bytes, for stages that have no `memory`.
+    #[serde(deserialize_with = "size")]
+    pub memory: Option<u64>,
+    /// `--cpus-per-task`, instead of the threads that the stage asks for.
+    pub threads: Option<NonZeroUsize>,
+    /// How long before the end of `time` a stage is asked to save its checkpoint.
+    #[serde(deserialize_with = "time")]
+    pub signal: Option<Duration>,
+    /// Further words for `sbatch`, as `--constraint=avx2`.
+    pub extra: Option<Vec<String>>,
+    /// Lines of shell that run before the stage, as `module load openblas`.
+    pub setup: Option<Vec<String>>,
+}
+
+/// `[slurm]`.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(from = "Written")]
+pub struct SlurmSettings {
+    /// For all stages.
+    pub all: JobSettings,
+    /// By kind.
+    pub kinds: BTreeMap<String, JobSettings>,
+    /// By a pattern of stage names, as `dril*`; counts more than the kind.
+    pub stages: BTreeMap<String, JobSettings>,
+    /// Jobs that may be queued or running at the same time.
+    pub max_jobs: Option<NonZeroUsize>,
+    /// Kinds that run beside the engine instead of in a job; without it, those that the engine's own program runs.
+    pub local: Option<Vec<String>>,
+}
+
+impl SlurmSettings {
+    /// What the job of a stage asks for. `stage` is the stage's name, without what it is an instance of.
+    pub fn of(&self, stage: &str, kind: &str) -> JobSettings {
+        let mut all = JobSettings::default();
+        // Where several patterns fit, the first in the order of the alphabet counts most.
+        let fits =
+            |pattern: &str| Glob::new(pattern).is_ok_and(|glob| glob.compile_matcher().is_match(stage));
+        for (_, settings) in self.stages.iter().filter(|(pattern, _)| fits(pattern)) {
+            all.fill_from(settings);
+        }
+        self.kinds.get(kind).into_iter().chain([&self.all]).for_each(|settings| all.fill_from(settings));
+        all
+    }
+
+    /// Takes over what is not set yet.
+    pub(super) fn fill_from(&mut self, other: Self) {
+        self.all.fill_from(&other.all);
+        for (mine, theirs) in [(&mut self.kinds, other.kinds), (&mut self.stages, other.stages)] {
+            for (name, settings) in theirs {
+                mine.entry(name).or_default().fill_from(&settings);
+            }
+        }
+        self.max_jobs = self.max_jobs.or(other.max_jobs);
+        self.local = self.local.take().or(other.local);
+    }
+}
+
+impl JobSettings {
+    fn fill_from(&mut self, other: &Self) {
+        let text = |mine: &mut Option<String>, theirs: &Option<String>| {
+            *mine = mine.take().or_else(|| theirs.clone());
+        };
+        text(&mut self.partition, &other.partition);
+        text(&mut self.account, &other.account);
+        text(&mut self.qos, &other.qos);
+        self.time = self.time.or(other.time);
+        self.memory = self.memory.or(other.memory);
+        self.threads = self.threads.or(other.threads);
+        self.signal = self.signal.or(other.signal);
+        self.extra = self.extra.take().or_else(|| other.extra.clone());
+        self.setup = self.setup.take().or_else(|| other.setup.clone());
+    }
+}
+
+/// The table as it is written: serde cannot both flatten and refuse unknown fields.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Written {
+    partition: Option<String>,
+    account: Option<String>,
+    qos: Option<String>,
+    #[serde(default, deserialize_with = "time")]
+    time: Option<Duration>,
+    #[serde(default, deserialize_with = "size")]
+    memory: Option<u64>,
+    threads: Option<NonZeroUsize>,
+    #[serde(default, deserialize_with = "time")]
+    signal: Option<Duration>,
+    extra: Option<Vec<String>>,
+    setup: Option<Vec<String>>,
+    #[serde(default)]
+    kinds: BTreeMap<String, JobSettings>,
+    #[serde(default, deserialize_with = "patterns")]
+    stages: BTreeMap<String, JobSettings>,
+    max_jobs: Option<NonZeroUsize>,
+    local: Option<Vec<String>>,
+}
+
+impl From<Written> for SlurmSettings {
+    fn from(written: Written) -> Self {
+        let Written { partition, account, qos, time, memory, threads, signal, extra, setup, .. } = written;
+        let all = JobSettings { partition, account, qos, time, memory, threads, signal, extra, setup };
+        let Written { kinds, stages, max_jobs, local, .. } = written;
+        Self { all, kinds, stages, max_jobs, local }
+    }
+}
+
+/// A size as `500M`.
+fn size<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<u64>, D::Error> {
+    let text = String::deserialize(deserializer)?;
+    parse_size(&text).map(Some).map_err(de::Error::custom)
+}
+
+fn patterns<'de, D: Deserializer<'de>>(deserializer: D) -> Result<BTreeMap<String, JobSettings>, D::Error> {
+    let stages = BTreeMap::<String, JobSettings>::deserialize(deserializer)?;
+    for pattern in stages.keys() {
+        Glob::new(pattern).map_err(de::Error::custom)?;
+    }
+    Ok(stages)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::settings::Settings;
+    use std::path::Path;
+
+    fn parse(text: &str) -> Result<SlurmSettings, String> {
+        let parsed = Settings::parse(text.as_bytes(), Path::new("s.toml"));
+        parsed.map(|settings| settings.slurm).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn what_is_said_of_a_stage_counts_more_than_of_its_kind_and_that_more_than_of_all() {
+        let text = "[slurm]\npartition = \"all\"\ntime = \"1h\"\nmemory = \"2G\"\n\
+                    [slurm.kinds.ppo]\npartition = \"kind\"\ntime = \"2h\"\n\
+                    [slurm.stages.\"exp*\"]\ntime = \"3h\"\nextra = [\"--exclusive\"]\n";
+        let slurm = parse(text).unwrap();
+        let expert = slurm.of("expert", "ppo");
+        assert_eq!(expert.partition.as_deref(), Some("kind"));
+        assert_eq!((expert.time, expert.memory), (Some(Duration::from_secs(10_800)), Some(2 << 30)));
+        assert_eq!(expert.extra.as_deref(), Some(&["--exclusive".to_owned()][..]));
+        let clone = slurm.of("clone", "bc");
+        assert_eq!((clone.partition.as_deref(), clone.time), (Some("all"), Some(Duration::from_secs(3600))));
+    }
+
+    #[test]
+    fn a_mistake_is_named_with_its_place() {
+        for (text, expected) in [
+            ("[slurm]\npartiton = \"x\"\n", "s.toml:2:1: unknown field `partiton`"),
+            ("[slurm]\ntime = \"soon\"\n", "s.toml:2:8: expected a time as 90s"),
+            ("[slurm.kinds.ppo]\nmemory = \"x\"\n", "s.toml:2:10: expected a size as 500M"),
+            ("[slurm.stages.\"a[\"]\ntime = \"1h\"\n", "s.toml:1:"),
+        ] {
+            let error = parse(text).unwrap_err();
+            assert!(error.starts_with(expected), "{text}: {error}");
+        }
+    }
+}
