@@ -14,10 +14,10 @@ fn main() -> Result<ExitCode, Box<dyn std::error::Error>> {
     use dril_envs::gymnasium::{PythonHome, keep_python_in};
     let env = cli::ExtraCommand {
         name: "env",
-        about: dril_envs::command::ABOUT,
+        about: dril_parity::command::ABOUT,
         run: |args| {
             keep_python_in(PythonHome::from_environment());
-            dril_envs::command::run(args)
+            dril_parity::command::run(args)
         },
     };
     let extensions = Extensions { commands: &[env], tools: &[dril_kinds::REPLAY] };

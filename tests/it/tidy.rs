@@ -23,12 +23,17 @@ const LAYERS: [(&str, &[&str]); 10] = [
 ];
 
 /// Packages of the workspace and those that each may depend on.
-const PACKAGES: [(&str, &str, &[&str]); 7] = [
-    ("Cargo.toml", "dril-pipe", &["dril-stage-api", "dril-envs", "dril-kinds", "dril-learn", "dril-report"]),
+const PACKAGES: [(&str, &str, &[&str]); 8] = [
+    (
+        "Cargo.toml",
+        "dril-pipe",
+        &["dril-stage-api", "dril-envs", "dril-kinds", "dril-learn", "dril-parity", "dril-report"],
+    ),
     ("stages/api/Cargo.toml", "dril-stage-api", &[]),
     ("stages/envs/Cargo.toml", "dril-envs", &["dril-stage-api"]),
     ("stages/kinds/Cargo.toml", "dril-kinds", &["dril-stage-api", "dril-envs"]),
     ("stages/learn/Cargo.toml", "dril-learn", &["dril-stage-api", "dril-envs", "dril-kinds"]),
+    ("stages/parity/Cargo.toml", "dril-parity", &["dril-stage-api", "dril-envs"]),
     ("stages/report/Cargo.toml", "dril-report", &["dril-stage-api"]),
     ("xtask/Cargo.toml", "xtask", &[]),
 ];
@@ -176,7 +181,9 @@ fn the_engine_alone_builds_without_any_stage() {
     }
     let named = engine().into_iter().filter(|(_, path)| {
         code(path).iter().any(|(_, line)| {
-            ["dril_envs", "dril_kinds", "dril_learn", "dril_report"].iter().any(|name| line.contains(name))
+            ["dril_envs", "dril_kinds", "dril_learn", "dril_parity", "dril_report"]
+                .iter()
+                .any(|name| line.contains(name))
         })
     });
     let named: Vec<String> = named.map(|(_, path)| path.display().to_string()).collect();

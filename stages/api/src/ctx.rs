@@ -1,4 +1,4 @@
-//! What a running stage sees of the world.
+//! The context of a running stage: its only access to the outside.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -7,19 +7,19 @@ use std::time::{Duration, Instant};
 
 use crate::{Job, Labels, Message, Progress, Seed, StageError, StreamRng};
 
-/// At most this often a progress line is written.
+/// Minimum time between two progress messages.
 const PROGRESS_EVERY: Duration = Duration::from_millis(250);
 
-/// One artifact at an input, with the labels of where it comes from.
+/// One artifact at an input, with the labels of the stage instance that it comes from.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct InputItem<'a> {
     /// The file; read-only.
     pub path: &'a Path,
-    /// Axis = value; empty for inputs that take one artifact.
+    /// Axis = value; empty for inputs that accept a single artifact.
     pub labels: &'a Labels,
 }
 
-/// All that a stage may use while it runs. There is no other way to the outside: no environment, no clock, no store.
+/// Everything a stage may use while it runs: it has no access to environment variables, the clock or the store.
 pub struct Ctx<'a> {
     job: &'a Job,
     cancel: &'a AtomicBool,
@@ -29,12 +29,12 @@ pub struct Ctx<'a> {
 }
 
 impl<'a> Ctx<'a> {
-    /// The context of `job`: stops when `cancel` becomes true, writes its messages to `messages`.
+    /// The context of `job`. Setting `cancel` asks the stage to stop; messages to the engine are written to `messages`.
     pub fn new(job: &'a Job, cancel: &'a AtomicBool, messages: &'a mut dyn Write) -> Self {
         Self { job, cancel, messages, said: None, checkpointed: Instant::now() }
     }
 
-    /// All that the stage was started with.
+    /// The job that the stage was started with.
     pub fn job(&self) -> &'a Job {
         self.job
     }
@@ -44,15 +44,15 @@ impl<'a> Ctx<'a> {
         self.job.seed
     }
 
-    /// The random stream of that name. Two calls give the same numbers: draw from one, keep it.
+    /// The random stream of that name. Two calls return the same numbers, so create a stream once and keep it.
     pub fn stream(&self, name: &str) -> StreamRng {
         self.job.seed.stream(name)
     }
 
-    /// The one artifact at an input.
+    /// The artifact at an input that accepts exactly one.
     ///
     /// # Errors
-    /// There is none, or more than one.
+    /// The input is not connected, or has several artifacts.
     pub fn input(&self, port: &str) -> Result<&'a Path, StageError> {
         match self.job.inputs.get(port).map(Vec::as_slice) {
             Some([one]) => Ok(&one.path),
@@ -63,7 +63,7 @@ impl<'a> Ctx<'a> {
         }
     }
 
-    /// The artifact at an input that may be left out.
+    /// The artifact at an optional input.
     pub fn optional_input(&self, port: &str) -> Option<&'a Path> {
         match self.job.inputs.get(port).map(Vec::as_slice) {
             Some([one]) => Some(&one.path),
@@ -71,13 +71,13 @@ impl<'a> Ctx<'a> {
         }
     }
 
-    /// The artifacts at a fan-in, in the order of the matrix.
+    /// The artifacts at a fan-in input, in matrix order.
     pub fn inputs(&self, port: &str) -> Vec<InputItem<'a>> {
         let items = self.job.inputs.get(port).map_or(&[] as &[_], Vec::as_slice);
         items.iter().map(|item| InputItem { path: &item.path, labels: &item.labels }).collect()
     }
 
-    /// The file to write for an output.
+    /// The path at which to write an output.
     ///
     /// # Errors
     /// The kind declares no such output.
@@ -88,24 +88,24 @@ impl<'a> Ctx<'a> {
         }
     }
 
-    /// Says how far the stage is. Cheap to call at every step: most calls write nothing.
+    /// Reports progress. Cheap enough to call at every step: messages are rate-limited.
     pub fn progress(&mut self, step: u64, total: u64, unit: &str, note: impl FnOnce() -> String) {
         let due = self.said.is_none_or(|at| at.elapsed() >= PROGRESS_EVERY) || step == total;
         if due {
             self.said = Some(Instant::now());
             let progress = Progress { step, total, unit: unit.to_owned(), note: note() };
-            // Nobody listening is no reason to stop working; a dead engine takes its stages with it in another way.
+            // A closed pipe does not stop the stage: if the engine died, its stages are killed in another way.
             let _ = writeln!(self.messages, "{}", Message::Progress(progress).to_line());
             let _ = self.messages.flush();
         }
     }
 
-    /// True once the stage should save a checkpoint (where it keeps them) and return [`StageError::Cancelled`].
+    /// True once the stage should save a checkpoint (if it supports them) and return [`StageError::Cancelled`].
     pub fn cancelled(&self) -> bool {
         self.cancel.load(Ordering::Relaxed)
     }
 
-    /// For stages without checkpoints: an error once the stage should stop.
+    /// Returns an error once the stage should stop; for stages without checkpoints.
     ///
     /// # Errors
     /// [`StageError::Cancelled`].
@@ -113,31 +113,32 @@ impl<'a> Ctx<'a> {
         if self.cancelled() { Err(StageError::Cancelled) } else { Ok(()) }
     }
 
-    /// A folder for this stage to work in. Made by whoever needs it, and removed once the stage has ended.
+    /// A working folder for temporary files. The stage creates it if needed; it is removed when the stage ends.
     pub fn scratch(&self) -> &'a Path {
         &self.job.scratch
     }
 
-    /// A folder of this stage's own that outlives a kill. What the stage leaves here it finds again when the same work
-    /// (equal key) is started anew; it is emptied once the stage is done.
+    /// A folder for checkpoints, which survives a kill. Files here are found again when the same work (equal key) is
+    /// restarted; the folder is emptied once the stage is done.
     pub fn checkpoints(&self) -> &'a Path {
         &self.job.checkpoints
     }
 
-    /// A folder for curves that people watch while the stage runs (`run --tensorboard`), to be made if need be; none
-    /// where nobody does. What is written there is no result and may carry clock times.
+    /// A folder for live training curves (`run --tensorboard`), to be created if needed; none if not requested. Files here
+    /// are not results and may contain wall-clock times.
     pub fn curves(&self) -> Option<&'a Path> {
         self.job.curves.as_deref()
     }
 
-    /// Says what the result depends on besides inputs, parameters and seed, as in `("libtorch", "2.13.0")`: it is
-    /// recorded with the result and enters no key.
+    /// Records what the result was made with, as in `("libtorch", "2.13.0")`. It is stored with the result and is not part
+    /// of the key.
     pub fn made_with(&mut self, what: &[(&str, &str)]) {
         let what = what.iter().map(|(name, value)| ((*name).to_owned(), (*value).to_owned()));
         let _ = writeln!(self.messages, "{}", Message::MadeWith(what.collect()).to_line());
     }
 
-    /// True when the last checkpoint is long enough ago, or the stage is being stopped. Starts the interval anew.
+    /// True if a checkpoint is due: the checkpoint interval has passed, or the stage is being stopped. Restarts the
+    /// interval.
     pub fn checkpoint_due(&mut self) -> bool {
         let due = self.cancelled()
             || self.checkpointed.elapsed() >= Duration::from_secs_f64(self.job.checkpoint_seconds.max(0.0));
@@ -147,7 +148,7 @@ impl<'a> Ctx<'a> {
         due
     }
 
-    /// Writes `bytes` to the output by one call.
+    /// Writes `bytes` to an output.
     ///
     /// # Errors
     /// No such output, or the write fails.

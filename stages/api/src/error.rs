@@ -1,4 +1,4 @@
-//! How a stage fails.
+//! Errors of a stage.
 
 use std::path::{Path, PathBuf};
 
@@ -8,17 +8,17 @@ use crate::ParamProblem;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum StageError {
-    /// Asked to stop, and stopped cleanly (after a checkpoint, where the stage keeps them). Not a failure.
+    /// The stage was asked to stop and stopped cleanly (after a checkpoint, if it supports them). Not a failure.
     #[error("stopped on request")]
     Cancelled,
-    /// The job's parameters do not fit the kind. The engine checks before it starts a stage, so this is a job file that
-    /// another version wrote.
-    #[error("parameters do not fit this kind: {0}")]
+    /// The job's parameters do not match the kind. The engine checks them before it starts a stage, so the job file was
+    /// written by another version.
+    #[error("parameters do not match this kind: {0}")]
     Params(String),
-    /// A port that the kind does not have, or a number of artifacts that the port does not take.
+    /// An unknown port, or a number of artifacts that the port does not accept.
     #[error("{0}")]
     Port(String),
-    /// An input whose content is not what the stage can read.
+    /// An input whose content the stage cannot read.
     #[error("input `{port}` ({path}): {message}", path = path.display())]
     Input {
         /// The input's name.
@@ -31,14 +31,14 @@ pub enum StageError {
     /// Reading or writing failed.
     #[error("{action} {path}: {source}", path = path.display())]
     Io {
-        /// What was tried, as in "cannot write".
+        /// The failed operation, as in "cannot write".
         action: &'static str,
         /// The file.
         path: PathBuf,
-        /// The system's answer.
+        /// The operating system's error.
         source: std::io::Error,
     },
-    /// The work itself failed; the text says what was seen, what was expected and how to mend it.
+    /// The stage failed; the message says what was seen, what was expected and how to fix it.
     #[error("{0}")]
     Failed(String),
 }
@@ -50,17 +50,17 @@ impl StageError {
         Self::Params(lines.join("; "))
     }
 
-    /// The work itself failed.
+    /// A failure with this message.
     pub fn failed(message: impl std::fmt::Display) -> Self {
         Self::Failed(message.to_string())
     }
 
-    /// An input that cannot be used.
+    /// An unusable input.
     pub fn input(port: &str, path: &Path, message: impl std::fmt::Display) -> Self {
         Self::Input { port: port.to_owned(), path: path.to_owned(), message: message.to_string() }
     }
 
-    /// For `map_err` on a read or write of `path`.
+    /// An I/O error on `path`, for `map_err`.
     pub fn io(action: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.to_owned();
         move |source| Self::Io { action, path, source }

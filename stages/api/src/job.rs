@@ -1,4 +1,4 @@
-//! A stage to run, as a file: what the engine writes for the child process (here or on another machine) that runs it.
+//! Job files: what the engine writes for the process that runs a stage, on this machine or another.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -8,10 +8,10 @@ use serde_json::Value;
 
 use crate::Seed;
 
-/// Axis = value of the stage instance that an artifact comes from.
+/// Matrix coordinates (axis = value) of the stage instance that an artifact comes from.
 pub type Labels = BTreeMap<String, String>;
 
-/// All that a stage needs in order to run.
+/// Everything a stage needs to run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Job {
@@ -19,7 +19,7 @@ pub struct Job {
     pub stage: String,
     /// The kind's name.
     pub kind: String,
-    /// The revision that the engine planned with; another one in the child is an error.
+    /// The kind's revision when the engine planned; a different one in the worker is an error.
     pub revision: u32,
     /// Normalised parameters.
     pub params: Value,
@@ -27,15 +27,15 @@ pub struct Job {
     pub seed: Seed,
     /// Input files by port.
     pub inputs: BTreeMap<String, Vec<JobInput>>,
-    /// The file to write for each output.
+    /// Output files by port.
     pub outputs: BTreeMap<String, JobOutput>,
-    /// A folder for this stage to work in; it may not be there yet, and is removed afterwards.
+    /// Folder for temporary files. It may not exist yet, and is removed afterwards.
     pub scratch: PathBuf,
-    /// A folder of this stage's own that outlives a kill; emptied once the stage is done.
+    /// Folder for checkpoints, which survives a kill; emptied once the stage is done.
     pub checkpoints: PathBuf,
     /// Seconds between checkpoints.
     pub checkpoint_seconds: f64,
-    /// A folder for curves that people watch while the stage runs; nothing in it is a result. None where nobody does.
+    /// Folder for live training curves, which are not results; none if not requested.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub curves: Option<PathBuf>,
 }
@@ -44,17 +44,17 @@ pub struct Job {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct JobInput {
-    /// Where it is, a file or a folder; read-only.
+    /// Path of the file or folder; read-only.
     pub path: PathBuf,
-    /// Where it comes from; empty for inputs that take one artifact.
+    /// The stage instance it comes from; empty for inputs that accept a single artifact.
     #[serde(default)]
     pub labels: Labels,
 }
 
-/// One file to write.
+/// One output.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct JobOutput {
-    /// Where to write it.
+    /// Path to write to.
     pub path: PathBuf,
 }

@@ -1,11 +1,11 @@
-//! A stage kind with its types erased: what the engine holds and calls.
+//! Type-erased stage kinds: what the engine holds and calls.
 
 use serde_json::Value;
 
 use crate::params::{self, Names};
 use crate::{Ctx, Describe, Job, Needs, ParamProblem, Ports, Prepared, Problems, Program, Stage, StageError};
 
-/// A stage kind as the engine sees it: names, and functions over parameters as JSON values.
+/// A stage kind as the engine sees it: its name and revision, and functions on parameters as JSON values.
 #[derive(Clone, Copy)]
 pub struct Kind {
     name: &'static str,
@@ -23,7 +23,7 @@ pub struct Kind {
     run: Run,
 }
 
-/// All that a kind says of a stage with certain parameters.
+/// Everything a kind states about a stage with given parameters.
 #[derive(Clone, Debug)]
 pub struct Look {
     /// See [`Kind::normalize`].
@@ -36,12 +36,12 @@ pub struct Look {
     pub seeded: bool,
 }
 
-/// Where a kind's work is done.
+/// Which process runs a kind.
 #[derive(Clone, Copy)]
 enum Run {
     Here(fn(&Value, &mut Ctx<'_>) -> Result<(), StageError>),
     In(&'static str),
-    /// By another program; the first function does all of it from this process.
+    /// Another program; the first function starts it from this process and waits for it.
     Outside(
         fn(&Value, &mut Ctx<'_>) -> Result<(), StageError>,
         fn(&Value, &Job) -> Result<Prepared, StageError>,
@@ -58,17 +58,17 @@ impl std::fmt::Debug for Kind {
 }
 
 impl Kind {
-    /// The erased form of `S`: this program can plan with it and run it.
+    /// The kind of stage `S`, which this program can plan with and run.
     pub const fn of<S: Stage>() -> Self {
         Self::new::<S::Kind>(Run::Here(run::<S>))
     }
 
-    /// A kind that this program plans with and the executable `worker` (beside this one) runs.
+    /// A kind that this program plans with, and that the executable `worker` (in the same folder) runs.
     pub const fn run_by<D: Describe>(worker: &'static str) -> Self {
         Self::new::<D>(Run::In(worker))
     }
 
-    /// The erased form of `P`, whose work is another program's.
+    /// A kind whose work is done by another program.
     pub const fn of_program<P: Program>() -> Self {
         Self::new::<P::Kind>(Run::Outside(run::<P>, prepare::<P>))
     }
@@ -91,7 +91,7 @@ impl Kind {
         }
     }
 
-    /// The executable, beside this one, that runs the kind; `None` where this one does.
+    /// The executable, in the same folder as this one, that runs the kind; `None` if this one does.
     pub fn worker(&self) -> Option<&'static str> {
         match self.run {
             Run::Here(_) | Run::Outside(..) => None,
@@ -99,8 +99,7 @@ impl Kind {
         }
     }
 
-    /// True where the work is another program's, started by the engine: what such a program does to the files that it
-    /// is given is in nobody's hands.
+    /// True if the engine starts another program for the work. Such a program is not trusted with the files it is given.
     pub fn is_program(&self) -> bool {
         matches!(self.run, Run::Outside(..))
     }
@@ -115,17 +114,17 @@ impl Kind {
         self.revision
     }
 
-    /// One line for people.
+    /// One-line description.
     pub fn about(&self) -> &'static str {
         self.about
     }
 
-    /// False where the seed stays out of the key, unless the parameters say otherwise.
+    /// False if the seed is not part of the key (see [`Kind::seeded_by`] for the parameters' influence).
     pub fn seeded(&self) -> bool {
         self.seeded
     }
 
-    /// False where the seed stays out of the key of a stage with these parameters.
+    /// False if the seed is not part of the key of a stage with these parameters.
     ///
     /// # Errors
     /// As [`Kind::normalize`].
@@ -143,21 +142,20 @@ impl Kind {
         self.texts
     }
 
-    /// The JSON Schema of its parameters.
+    /// The JSON Schema of the parameters.
     pub fn schema(&self) -> schemars::Schema {
         (self.schema)()
     }
 
-    /// The parameters in full: defaults filled in, numbers in the type of their field, ranges checked.
+    /// The complete parameters: defaults filled in, numbers converted to the type of their field, ranges checked.
     ///
     /// # Errors
-    /// Every wrong field at once.
+    /// All invalid fields at once.
     pub fn normalize(&self, params: &Value) -> Result<Value, Vec<ParamProblem>> {
         (self.normalize)(params)
     }
 
-    /// As [`Kind::normalize`], and all else that the kind says of such a stage, for the price of reading the parameters
-    /// once.
+    /// As [`Kind::normalize`], with ports and resource needs: the parameters are read only once.
     ///
     /// # Errors
     /// As [`Kind::normalize`].
@@ -173,7 +171,7 @@ impl Kind {
         (self.ports)(params)
     }
 
-    /// What a stage with these parameters takes of the machine.
+    /// The resource needs of a stage with these parameters.
     ///
     /// # Errors
     /// As [`Kind::normalize`].
@@ -181,7 +179,7 @@ impl Kind {
         (self.needs)(params)
     }
 
-    /// The program that does the work of a job, ready to start; `None` where the kind does its work itself.
+    /// The program that does the work of a job, ready to start; `None` if the kind does the work itself.
     ///
     /// # Errors
     /// See [`Program::prepare`].
@@ -195,7 +193,8 @@ impl Kind {
     /// Runs a stage with these parameters.
     ///
     /// # Errors
-    /// The stage's own; parameters that do not fit are [`StageError::Params`]; a kind of another executable fails.
+    /// The stage's own errors; [`StageError::Params`] for parameters that do not match; a kind that another executable
+    /// runs.
     pub fn run(&self, params: &Value, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
         match self.run {
             Run::Here(run) | Run::Outside(run, _) => run(params, ctx),
@@ -224,13 +223,13 @@ fn normalize<D: Describe>(value: &Value) -> Result<Value, Vec<ParamProblem>> {
 
 fn look<D: Describe>(value: &Value) -> Result<Look, Vec<ParamProblem>> {
     let params = read::<D>(value)?;
-    // What a kind says of its ports may rely on what it has checked.
+    // Ports may rely on checked parameters.
     let full = checked::<D>(&params)?;
     let (ports, needs, seeded) = (D::ports(&params), D::needs(&params), D::seeded(&params));
     Ok(Look { params: full, ports, needs, seeded })
 }
 
-/// The parameters in full, written back.
+/// The complete parameters as a JSON value.
 fn checked<D: Describe>(params: &D::Params) -> Result<Value, Vec<ParamProblem>> {
     let mut problems = Problems::default();
     D::check(params, &mut problems);

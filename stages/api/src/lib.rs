@@ -1,17 +1,18 @@
-//! The contract between the engine and a stage: what an author of a stage writes, and what the engine hands to it.
+//! The contract between the engine and stages: what the author of a stage implements, and what the engine provides.
 //!
-//! - [`Describe`] says what a stage kind looks like, [`Stage`] what it does, [`Program`] which program does it instead;
-//!   [`Kind`] is their erased form, [`Registry`] the set that a program offers.
-//! - [`Ports`] declare typed inputs and outputs ([`Artifact`]); [`Needs`] what the stage takes of the machine.
-//! - [`Ctx`] is all that a running stage sees: seed, inputs, outputs, progress, checkpoint folder, cancellation.
-//! - [`Job`] is the same as a file, as the engine writes it for the child process that runs the stage.
-//! - [`Tool`] is a subcommand that a stage package brings along, and [`Reply`] how one ends.
-//! - [`math`] and [`draw`] are functions and random draws whose bits do not depend on the processor: what reaches a
-//!   result uses them instead of those of `std` or of a library.
-//! - [`outcome`] is a pipeline with its results, for whoever writes a page about them.
-//! - [`scores`] is the one artifact format that several stage crates share.
+//! - [`Describe`] declares a stage kind (name, parameters, ports), [`Stage`] runs it, [`Program`] delegates it to another
+//!   program. [`Kind`] is the type-erased form, and [`Registry`] the set of kinds that a program offers.
+//! - [`Ports`] declares typed inputs and outputs ([`Artifact`]); [`Needs`] declares resource needs.
+//! - [`Ctx`] is the context of a running stage: seed, inputs, outputs, progress, checkpoint folder, cancellation.
+//! - [`Job`] is the file that the engine writes for the process that runs a stage.
+//! - [`Tool`] declares a subcommand of a stage package that works on one artifact, and [`Reply`] is the result of a
+//!   subcommand.
+//! - [`math`] and [`draw`] are functions and random draws whose bits do not depend on the processor. Code that affects a
+//!   result uses them instead of `std` or other libraries.
+//! - [`outcome`] is a pipeline with its results, the input of the HTML report.
+//! - [`scores`] is the artifact format that several stage crates share.
 //!
-//! This crate knows nothing of YAML, keys or the cache, and depends on no other package of the workspace.
+//! This crate does not know YAML, keys or the cache, and depends on no other package of the workspace.
 
 pub mod artifact;
 mod ctx;

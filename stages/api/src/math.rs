@@ -1,13 +1,13 @@
 //! Elementary and special functions whose bits are the same on every machine.
 //!
-//! `f64::exp` and its like call the C library, which chooses its code by the processor at run time, and vector
-//! libraries do the same; their last bits differ from one machine to the next. What reaches a result or a cache key goes
-//! through this module instead. The functions are those of the crate `libm` (musl's and FreeBSD's algorithms in plain
+//! `f64::exp` and similar functions call the C library, which selects its code by the processor at run time, as vector
+//! libraries do; their last bits differ between machines. Code that affects a result or a cache key uses this module
+//! instead. The functions are those of the crate `libm` (musl's and FreeBSD's algorithms in plain
 //! Rust). It uses IEEE additions, multiplications and divisions in a fixed order, which no compiler may reorder or fuse.
-//! On x86-64 it looks at the processor in `fma` alone, whose result is correctly rounded either way; its `sqrt` is the
-//! instruction, which is correctly rounded too. Its version is pinned.
+//! On x86-64, only its `fma` depends on the processor, and its result is correctly rounded either way; `sqrt` is the
+//! instruction, which is correctly rounded too. The version is pinned.
 //!
-//! Safe without this module, because IEEE 754 or Rust fixes every bit: `+ - * /`, `sqrt`, `mul_add`, `abs`, `floor`,
+//! Safe without this module, because IEEE 754 or Rust define every bit: `+ - * /`, `sqrt`, `mul_add`, `abs`, `floor`,
 //! `ceil`, `round`, `trunc`, `min`, `max`, `clamp`, `rem_euclid` and conversions.
 
 use std::f64::consts::PI;
@@ -134,10 +134,10 @@ pub fn ln_gamma(x: f64) -> f64 {
     libm::lgamma(x)
 }
 
-/// From here on the asymptotic series below have errors beneath the rounding.
+/// Above this, the truncation error of the asymptotic series is below the rounding error.
 const ASYMPTOTIC: f64 = 10.0;
 
-/// ψ(x) = d ln Γ(x) / dx for x > 0; not a number elsewhere.
+/// ψ(x) = d ln Γ(x) / dx for x > 0; NaN elsewhere.
 ///
 /// ψ(x) = ψ(x + 1) − 1/x up to 10, then the asymptotic series (Abramowitz and Stegun 6.3.18).
 pub fn digamma(x: f64) -> f64 {
@@ -161,7 +161,7 @@ fn digamma_remainder(x: f64) -> f64 {
     0.5 * inverse + square * polynomial(&TERMS, square)
 }
 
-/// ψ′(x), the second derivative of ln Γ, for x > 0; not a number elsewhere.
+/// ψ′(x), the second derivative of ln Γ, for x > 0; NaN elsewhere.
 ///
 /// ψ′(x) = ψ′(x + 1) + 1/x² up to 10, then the asymptotic series (Abramowitz and Stegun 6.4.11).
 pub fn trigamma(x: f64) -> f64 {
@@ -189,7 +189,7 @@ pub fn trigamma(x: f64) -> f64 {
 }
 
 /// ln B(a, b) = ln Γ(a) + ln Γ(b) − ln Γ(a + b) for a, b > 0, without the cancellation of that form where an argument
-/// is large: there the three logarithms are split by Stirling's formula and their large parts are taken together
+/// is large: there the three logarithms are expanded by Stirling's formula and their large parts are combined
 /// (Didonato and Morris 1992, algorithm 708).
 pub fn ln_beta(a: f64, b: f64) -> f64 {
     let (small, large) = if a < b { (a, b) } else { (b, a) };

@@ -1,12 +1,12 @@
-//! What a stage takes of the machine. Never part of a key: the same stage gives the same bytes on any machine.
+//! Resource needs of a stage. Never part of a key: a stage gives the same bytes on every machine.
 
-/// What a stage takes of the machine while it runs.
+/// Resources that a stage uses while it runs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Needs {
-    /// Threads that it keeps busy, at least 1. The engine runs stages side by side up to the machine's threads.
+    /// Threads that it keeps busy, at least 1. The engine runs stages in parallel up to the number of hardware threads.
     pub threads: usize,
-    /// A rough size of the work in any unit that is the same for all kinds (seconds on one thread will do); the engine
-    /// starts the longest chains first. It changes the order of stages, never a result.
+    /// Estimated work, roughly in seconds on one thread. The engine starts the longest chains first. It affects the order
+    /// of stages, never a result.
     pub cost: f64,
 }
 

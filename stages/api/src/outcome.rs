@@ -1,6 +1,6 @@
-//! A pipeline with all that its store knows of it: what the engine hands to whoever writes a page about it.
+//! A pipeline with its results, as passed from the engine to the HTML report.
 //!
-//! It is plain data with no clock in it: equal stores give equal values.
+//! It is plain data without times of day: equal stores give equal values.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -16,11 +16,11 @@ pub struct Outcome {
     pub pipeline: String,
     /// The profile.
     pub profile: String,
-    /// The profile that is used when none is named, where the file has profiles.
+    /// The default profile, if the file has profiles.
     pub first_profile: Option<String>,
-    /// The command line that brings it up to date.
+    /// The command line that updates it.
     pub command: Vec<String>,
-    /// The name and version of the program that looked.
+    /// Name and version of the program.
     pub tool: String,
     /// Its stage instances, in the order of the file and its matrices.
     pub stages: Vec<StageOutcome>,
@@ -45,32 +45,32 @@ pub struct StageOutcome {
     pub chosen: BTreeMap<String, Value>,
     /// The seed, where it draws random numbers.
     pub seed: Option<u64>,
-    /// How it stands.
+    /// Its state.
     pub state: State,
     /// The key, where it is known.
     pub key: Option<String>,
-    /// What it reads, in the order of its ports.
+    /// Its inputs, in the order of its ports.
     pub inputs: Vec<InputOutcome>,
-    /// What it made; empty where it is not done.
+    /// Its outputs; empty if it is not done.
     pub outputs: Vec<OutputOutcome>,
     /// How long it ran.
     pub seconds: Option<f64>,
-    /// What it was made with: program, platform, libraries.
+    /// Provenance: program, platform, libraries.
     pub made_with: BTreeMap<String, String>,
 }
 
-/// How a stage stands.
+/// The state of a stage.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum State {
-    /// Its result is there.
+    /// Its result is cached.
     Done,
-    /// It runs now.
+    /// It is running.
     Running,
-    /// It is to be run.
+    /// It has to be run.
     Stale,
-    /// The last try failed, with this message.
+    /// The last attempt failed, with this message.
     Failed(String),
-    /// It depends on others that are to be run.
+    /// It depends on stages that have to be run.
     Waiting,
 }
 
@@ -79,7 +79,7 @@ pub enum State {
 pub struct InputOutcome {
     /// The input's name.
     pub port: String,
-    /// Which stage it comes from, by its place in [`Outcome::stages`]; `None` for a file from outside.
+    /// The index in [`Outcome::stages`] of the stage that it comes from; `None` for an external file.
     pub stage: Option<usize>,
     /// The output's name, or the file as the pipeline names it.
     pub from: String,
@@ -87,21 +87,21 @@ pub struct InputOutcome {
     pub labels: BTreeMap<String, String>,
 }
 
-/// An artifact that a stage made.
+/// An output of a stage.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct OutputOutcome {
     /// The output's name.
     pub name: String,
     /// Its type.
     pub artifact: Artifact,
-    /// The ending of its file, without the dot.
+    /// Its file extension, without the dot.
     pub extension: String,
-    /// The name of its content, in hexadecimal digits.
+    /// The digest of its content, in hexadecimal digits.
     pub digest: String,
     /// Its size.
     pub bytes: u64,
-    /// Where the content lies; never to be shown, since it says where somebody keeps files.
+    /// The path of the content; never shown, since it reveals local paths.
     pub path: PathBuf,
-    /// The name of its copy in the results folder, beside the page.
+    /// The name of its copy in the results folder.
     pub file: Option<String>,
 }

@@ -1,4 +1,4 @@
-//! Parameters of a stage: from the pipeline file's values to the kind's own type and back, with every problem at once.
+//! Parameters of a stage: from the pipeline file's values to the kind's own type and back, reporting all problems at once.
 
 use std::ops::RangeBounds;
 
@@ -9,28 +9,28 @@ use serde_json::Value;
 /// Something wrong with one parameter.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ParamProblem {
-    /// Where: field names and list positions from the root of `with:`; empty for the whole.
+    /// Path from the root of `with:`, as field names and list indices; empty for the whole value.
     pub path: Vec<String>,
     /// What was seen and what was expected; lower case, names in backticks.
     pub message: String,
-    /// How to mend it, where that is known.
+    /// How to fix it, if known.
     pub hint: Option<String>,
 }
 
-/// Collects what is wrong with the values of one stage.
+/// Collects the problems of one stage's parameters.
 #[derive(Debug, Default)]
 pub struct Problems {
     found: Vec<ParamProblem>,
 }
 
 impl Problems {
-    /// Reports that the value at `path` (dotted, as `env.time_limit`) is wrong.
+    /// Reports a problem with the value at `path` (dotted, as `env.time_limit`).
     pub fn add(&mut self, path: &str, message: impl Into<String>) {
         let path = path.split('.').filter(|part| !part.is_empty()).map(str::to_owned).collect();
         self.found.push(ParamProblem { path, message: message.into(), hint: None });
     }
 
-    /// Reports `value` unless it is in `range`; `expected` says the range in words, as in "more than 0".
+    /// Reports `value` if it is outside `range`; `expected` describes the range, as in "more than 0".
     pub fn range<T: PartialOrd + std::fmt::Display>(
         &mut self,
         path: &str,
@@ -60,7 +60,7 @@ impl Problems {
         self.range(path, value, 0.0..=1.0, "a number from 0 to 1");
     }
 
-    /// What was found, in the order it was reported.
+    /// The problems, in the order they were reported.
     pub fn into_vec(self) -> Vec<ParamProblem> {
         self.found
     }
@@ -68,8 +68,8 @@ impl Problems {
 
 /// A struct that is flattened into a kind's parameters (`#[serde(flatten)]`).
 ///
-/// serde reads such a struct from a buffer and forgets where each value stood, so each part is read by itself where
-/// something is wrong. The struct must not deny unknown fields; the one that it is flattened into must.
+/// serde reads such a struct from a buffer, which loses the path of each value; to report problems with their paths, each
+/// part is read separately. The struct must not deny unknown fields; the struct that it is flattened into must.
 #[derive(Clone, Copy, Debug)]
 pub struct Part {
     schema: fn() -> schemars::Schema,
@@ -83,7 +83,7 @@ impl Part {
     }
 }
 
-/// What a kind says about the names of its parameters, beside their type; see [`crate::Describe`].
+/// Names of parameters that a kind declares beside their type; see [`crate::Describe`].
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Names {
     pub(crate) parts: &'static [Part],
@@ -92,7 +92,7 @@ pub(crate) struct Names {
 }
 
 impl Names {
-    /// What to say of a field that had this name once.
+    /// The problem to report for a former name.
     fn former(&self, seen: &str) -> Option<ParamProblem> {
         let find = |list: &[(&'static str, &'static str)]| list.iter().find(|(old, _)| *old == seen).copied();
         let path = vec![seen.to_owned()];
@@ -105,13 +105,13 @@ impl Names {
     }
 }
 
-/// Reads `value` as `P` and reports every wrong field, not only the first: a field that cannot be read is reported and
-/// set aside, and the rest is read again.
+/// Reads `value` as `P` and reports all invalid fields, not only the first: a field that cannot be read is reported and
+/// removed, and the rest is read again.
 pub(crate) fn read<P>(value: &Value, names: &Names) -> Result<P, Vec<ParamProblem>>
 where
     P: DeserializeOwned + JsonSchema,
 {
-    // Following where in the value it is costs several times as much as reading it, and few values are wrong.
+    // Tracking paths costs several times as much as reading, and few values are wrong.
     if let Ok(params) = P::deserialize(value) {
         return Ok(params);
     }
@@ -126,18 +126,18 @@ where
     }
     read_all::<P>(rest, &mut found);
     if found.is_empty() {
-        // Reading with and without places agree; this is for the case that they ever do not.
+        // Should not happen: reading with and without paths agrees.
         return P::deserialize(value).map_err(|error| vec![describe(&[], &error.to_string())]);
     }
     Err(found)
 }
 
-/// Reads `rest` as `P` until it fits, and adds what is wrong with it to `found`.
+/// Reads `rest` as `P` until it succeeds, and adds the problems to `found`.
 fn read_all<P: DeserializeOwned>(mut rest: Value, found: &mut Vec<ParamProblem>) {
     while let Err(error) = serde_path_to_error::deserialize::<_, P>(&rest) {
         let path = segments(error.path());
         let message = error.inner().to_string();
-        // A field that was set aside is then missing; only the first word about it is news.
+        // A removed field is then reported as missing; only the first report counts.
         let echo = is_echo(&path, &message, found);
         if !echo {
             found.push(describe(&path, &message));
@@ -148,7 +148,7 @@ fn read_all<P: DeserializeOwned>(mut rest: Value, found: &mut Vec<ParamProblem>)
     }
 }
 
-/// True where a field is missing because it, or something in it, was reported before.
+/// True if a field is missing because it, or a part of it, was reported before.
 fn is_echo(path: &[String], message: &str, found: &[ParamProblem]) -> bool {
     let name = message.strip_prefix("missing field `").and_then(|rest| rest.split('`').next());
     name.is_some_and(|name| {
@@ -159,7 +159,7 @@ fn is_echo(path: &[String], message: &str, found: &[ParamProblem]) -> bool {
     })
 }
 
-/// Reports fields by the names that they had once.
+/// Reports former names and removes the fields.
 fn set_former_names_aside(rest: &mut Value, names: &Names, found: &mut Vec<ParamProblem>) {
     let Value::Object(fields) = rest else { return };
     fields.retain(|name, _| match names.former(name) {
@@ -171,7 +171,7 @@ fn set_former_names_aside(rest: &mut Value, names: &Names, found: &mut Vec<Param
     });
 }
 
-/// Reports fields that the schema does not have: where a struct is flattened, serde no longer says which there are.
+/// Reports fields that are not in the schema, and removes them: with a flattened struct, serde does not list known fields.
 fn set_unknown_names_aside(rest: &mut Value, known: &[String], found: &mut Vec<ParamProblem>) {
     let Value::Object(fields) = rest else { return };
     let known: Vec<&str> = known.iter().map(String::as_str).collect();
@@ -189,7 +189,7 @@ fn set_unknown_names_aside(rest: &mut Value, known: &[String], found: &mut Vec<P
     });
 }
 
-/// Reports what is wrong with the fields of a flattened struct, and sets them aside.
+/// Reports invalid fields of a flattened struct, and removes them.
 fn read_part(part: &Part, rest: &mut Value, found: &mut Vec<ParamProblem>) {
     let Value::Object(fields) = rest else { return };
     let names = properties(&(part.schema)());
@@ -221,7 +221,7 @@ fn segments(path: &serde_path_to_error::Path) -> Vec<String> {
         .collect()
 }
 
-/// Removes the value at `path`; false where there is none (the whole value is wrong, or a field is missing).
+/// Removes the value at `path`; false if there is none (the whole value is invalid, or a field is missing).
 fn remove(value: &mut Value, path: &[String]) -> bool {
     let Some((last, parents)) = path.split_last() else { return false };
     let mut at = value;
@@ -236,12 +236,12 @@ fn remove(value: &mut Value, path: &[String]) -> bool {
     }
     match at {
         Value::Object(map) => map.remove(last).is_some(),
-        // A list keeps its positions: without them the next error would point at a neighbour.
+        // Lists are left as they are: removing an item would shift the indices of later errors.
         _ => false,
     }
 }
 
-/// serde's words, put into the project's form, with the nearest known name for a misspelt one.
+/// Rephrases serde's message, with the nearest known name for a misspelt one.
 fn describe(path: &[String], message: &str) -> ParamProblem {
     let mut hint = None;
     let mut text = message.to_owned();

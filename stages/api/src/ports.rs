@@ -12,8 +12,8 @@ pub enum Arity {
     One,
     /// None or one.
     Optional,
-    /// One or more, each with the labels (axis = value) of the stage instance it comes from. The order is the order of
-    /// the matrix, never the order in which stages finished.
+    /// One or more, each with the labels (axis = value) of the stage instance it comes from; in matrix order, independent of
+    /// the order in which stages finished.
     Many,
 }
 
@@ -22,24 +22,24 @@ pub enum Arity {
 pub struct Input {
     /// The name used under `inputs:` in the pipeline file.
     pub name: &'static str,
-    /// What it takes.
+    /// Accepted type.
     pub artifact: Artifact,
-    /// How many.
+    /// Accepted number.
     pub arity: Arity,
-    /// One line for people.
+    /// One-line description.
     pub about: &'static str,
 }
 
 /// An output of a stage.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Output {
-    /// The name used in references, as in `dril.peak`.
+    /// The name used in references, such as `dril.peak`.
     pub name: &'static str,
-    /// What it is.
+    /// Its type.
     pub artifact: Artifact,
-    /// The ending of the file, without the dot: `csv`, `md`, `safetensors`.
+    /// The file extension, without the dot: `csv`, `md`, `safetensors`.
     pub extension: &'static str,
-    /// One line for people.
+    /// One-line description.
     pub about: &'static str,
 }
 
@@ -48,33 +48,33 @@ pub struct Output {
 pub struct Ports {
     /// What the stage reads.
     pub inputs: Vec<Input>,
-    /// What the stage writes: all of them, each time.
+    /// What the stage writes; it has to write all of them.
     pub outputs: Vec<Output>,
-    /// What the stage brings in from outside, where that is all it does: its one input is filled by the engine, and its
-    /// one output is the same content. Nothing is run for it.
+    /// For a stage that only imports an external file or folder: the engine fills its one input, and its one output has the
+    /// same content. Nothing is run.
     pub outside: Option<Outside>,
-    /// How to get a further input, where that is in the user's hands; for messages.
+    /// How the user can add an input, if that is possible; for messages.
     pub hint: Option<&'static str>,
 }
 
-/// A file or folder from outside that the parameters of a stage name.
+/// An external file or folder, named by a parameter of a stage.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Outside {
-    /// The parameter that names it: where messages point, and whose file's folder the path is relative to.
+    /// The parameter that names it, for messages and to resolve the relative path.
     pub param: &'static str,
-    /// Where it is, relative to the folder of the pipeline file unless absolute.
+    /// Its path, absolute or relative to the folder of the pipeline file.
     pub path: String,
-    /// The content that it must have, as 64 hexadecimal digits of blake3.
+    /// The required BLAKE3 digest of its content, as 64 hexadecimal digits.
     pub blake3: Option<String>,
-    /// What of a folder is left out: globs of names, or of paths relative to the folder where they have a `/`.
+    /// What to exclude from a folder: globs of names, or of relative paths if they contain a `/`.
     pub exclude: Vec<String>,
 }
 
-/// A port's name that comes from the parameters of a stage, as long-lived as one that is written in the code: wires,
-/// plans and records refer to it. It stays in memory until the program ends; there are few distinct names.
+/// Converts a port name from the parameters of a stage to a static string, as used by wires, plans and records. It stays
+/// in memory until the program ends; there are few distinct names.
 pub fn port_name(text: &str) -> &'static str {
     static NAMES: LazyLock<Mutex<HashSet<&'static str>>> = LazyLock::new(Mutex::default);
-    // A set is whole after every step, so a thread that died with the lock has broken nothing.
+    // The set is consistent after every step, so a poisoned lock is harmless.
     let mut names = NAMES.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some(name) = names.get(text) {
         return name;
@@ -85,24 +85,24 @@ pub fn port_name(text: &str) -> &'static str {
 }
 
 impl Ports {
-    /// No ports yet; chain the other methods.
+    /// No ports; chain the other methods.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Adds an input that takes exactly one artifact.
+    /// Adds an input that accepts exactly one artifact.
     #[must_use]
     pub fn input(self, name: &'static str, artifact: Artifact, about: &'static str) -> Self {
         self.with_input(Input { name, artifact, arity: Arity::One, about })
     }
 
-    /// Adds an input that may be left out.
+    /// Adds an optional input.
     #[must_use]
     pub fn optional(self, name: &'static str, artifact: Artifact, about: &'static str) -> Self {
         self.with_input(Input { name, artifact, arity: Arity::Optional, about })
     }
 
-    /// Adds an input that takes one or more labelled artifacts (fan-in).
+    /// Adds an input that accepts one or more labelled artifacts (fan-in).
     #[must_use]
     pub fn many(self, name: &'static str, artifact: Artifact, about: &'static str) -> Self {
         self.with_input(Input { name, artifact, arity: Arity::Many, about })

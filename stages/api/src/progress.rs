@@ -1,32 +1,32 @@
-//! What a running stage says: one JSON object a line on its standard output, which the engine reads.
+//! Messages of a running stage to the engine: JSON lines on its standard output.
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-/// How far a stage is.
+/// Progress of a stage.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Progress {
-    /// Steps done, in `unit`s.
+    /// Steps done, in units of `unit`.
     pub step: u64,
-    /// Steps in all; 0 where that is not known.
+    /// Total number of steps; 0 if unknown.
     pub total: u64,
-    /// What a step is: "steps", "epochs", "episodes".
+    /// The unit: "steps", "epochs", "episodes".
     pub unit: String,
-    /// A short reading for people, as in "score 812".
+    /// A short status, such as "score 812".
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub note: String,
 }
 
-/// A line from a stage to the engine.
+/// A message from a stage to the engine.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Message {
-    /// How far it is.
+    /// Progress.
     Progress(Progress),
-    /// What its result depends on besides inputs, parameters and seed: libraries, instruction sets; by name.
+    /// Provenance of the result, by name: libraries, instruction sets.
     MadeWith(BTreeMap<String, String>),
-    /// It failed, and why; the last message.
+    /// The stage failed; the last message.
     Failed {
         /// The error's text.
         error: String,
@@ -34,13 +34,13 @@ pub enum Message {
 }
 
 impl Message {
-    /// The line, without its end.
+    /// The message as a line, without line break.
     pub fn to_line(&self) -> String {
-        // Both variants hold strings and numbers only; there is nothing in them that JSON cannot say.
+        // Strings and numbers always serialise.
         serde_json::to_string(self).unwrap_or_default()
     }
 
-    /// The message of a line; `None` for any other text that a stage (or a library in it) printed.
+    /// Parses a line; `None` for any other output of the stage or its libraries.
     pub fn from_line(line: &str) -> Option<Self> {
         if line.starts_with('{') { serde_json::from_str(line).ok() } else { None }
     }

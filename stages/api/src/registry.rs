@@ -10,11 +10,11 @@ pub struct Registry {
     kinds: BTreeMap<&'static str, Kind>,
 }
 
-/// Two kinds of one name.
+/// Two kinds have the same name.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 #[error("two stage kinds are called `{name}`")]
 pub struct RegistryError {
-    /// The name in question.
+    /// The name.
     pub name: &'static str,
 }
 
@@ -22,7 +22,7 @@ impl Registry {
     /// The registry of these kinds.
     ///
     /// # Errors
-    /// Two kinds of one name.
+    /// Two kinds have the same name.
     pub fn new(kinds: impl IntoIterator<Item = Kind>) -> Result<Self, RegistryError> {
         let mut map = BTreeMap::new();
         for kind in kinds {

@@ -1,24 +1,23 @@
-//! How a subcommand that a stage crate brings along ends.
+//! The result of a subcommand of a stage package.
 
-/// A text, and what the program makes of it.
+/// A text to print, and the exit code.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Reply {
-    /// What was asked for, for standard output; the program ends with 0.
+    /// The result, for standard output; exit code 0.
     Done(String),
-    /// An answer like [`Reply::Done`], but not the one hoped for, as when a check has found something; the program ends
-    /// with 1.
+    /// As [`Reply::Done`], but negative, such as a failed check; exit code 1.
     Failed(String),
-    /// It could not be done: as [`Reply::Usage`], but the program ends with 1.
+    /// An error, as [`Reply::Usage`], but with exit code 1.
     Refused(String),
-    /// The arguments are wrong. What was seen and expected, for standard error; ways to mend it are lines that open with
-    /// `  = hint: `. The program ends with 2.
+    /// Invalid arguments: what was seen and expected, for standard error; hints are lines that start with `  = hint: `. Exit
+    /// code 2.
     Usage(String),
-    /// A file cannot be read or written, or a program is missing: as [`Reply::Usage`], but the program ends with 4.
+    /// A file cannot be read or written, or a program is missing: as [`Reply::Usage`], but with exit code 4.
     Io(String),
 }
 
 impl From<Result<String, String>> for Reply {
-    /// A text for standard output, or what went wrong.
+    /// A text for standard output, or an error.
     fn from(result: Result<String, String>) -> Self {
         result.map_or_else(Self::Refused, Self::Done)
     }

@@ -1,6 +1,6 @@
 //! The `scores` artifact: one row per evaluated episode, as CSV with the columns
-//! `episode,seed,score,steps,outcome,diverged_at_step`. Files of earlier versions, which call the seed `track_seed` and
-//! lack the last column, are read too.
+//! `episode,seed,score,steps,outcome,diverged_at_step`. Files of earlier versions, with `track_seed` instead of `seed` and
+//! without the last column, can be read, too.
 
 use std::path::Path;
 
@@ -12,19 +12,19 @@ use crate::StageError;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ScoreRow {
-    /// Position in the list of episodes, from 0.
+    /// Index in the list of episodes, from 0.
     pub episode: usize,
-    /// The seed that names the episode's track, ground or level.
+    /// The environment seed, which determines the episode's track, terrain or level.
     #[serde(alias = "track_seed")]
     pub seed: u64,
-    /// The sum of the environment's rewards, unmodified.
+    /// The sum of the environment's unmodified rewards.
     pub score: f64,
-    /// Steps acted.
+    /// Number of steps.
     pub steps: u64,
     /// How it ended: `finished`, `failed` or `time-limit`.
     pub outcome: String,
-    /// The environment step at which the training of the agent diverged, so that it acts with its last finite weights;
-    /// empty where it did not.
+    /// The environment step at which the policy's training diverged, so that it has its last finite weights; empty
+    /// otherwise.
     #[serde(default)]
     pub diverged_at_step: Option<u64>,
 }
@@ -45,7 +45,7 @@ pub fn write(path: &Path, rows: &[ScoreRow]) -> Result<(), StageError> {
 /// Reads the rows.
 ///
 /// # Errors
-/// The file cannot be read, has no row, or a row that is no score (the message says which, and why).
+/// The file cannot be read, has no row, or has an invalid row.
 pub fn read(port: &str, path: &Path) -> Result<Vec<ScoreRow>, StageError> {
     let bytes = std::fs::read(path).map_err(StageError::io("cannot read", path))?;
     let mut reader = csv::Reader::from_reader(bytes.as_slice());

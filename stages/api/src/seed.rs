@@ -1,8 +1,7 @@
-//! Randomness: every random number of a stage comes from a named stream of the stage's seed.
+//! Random numbers: all random numbers of a stage come from named streams of the stage's seed.
 //!
-//! Streams are independent: what one stage part draws never shifts what another part sees, so adding a draw in one place
-//! changes nothing elsewhere. They are counter-based (ChaCha with 8 rounds): a stream's position is one number, and a
-//! checkpoint restores it exactly.
+//! Streams are independent: adding a draw in one place changes nothing elsewhere. They are counter-based (ChaCha with 8
+//! rounds): a stream's position is one number, which checkpoints restore exactly.
 
 use rand::{Rng, TryRng, rand_core::Infallible};
 use rand_chacha::ChaCha8Rng;
@@ -19,7 +18,7 @@ impl Seed {
         StreamRng(rand::SeedableRng::from_seed(self.derive(name)))
     }
 
-    /// A seed for a part that has streams of its own: one environment, one ensemble member.
+    /// A seed for a part with its own streams, such as one environment or one ensemble member.
     pub fn child(self, name: &str) -> Seed {
         let bytes = self.derive(name);
         let mut first = [0; 8];

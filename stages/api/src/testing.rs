@@ -1,4 +1,4 @@
-//! For tests of stage crates: runs a stage in a temporary folder, without an engine.
+//! Test support for stage packages: runs a stage in a temporary folder, without an engine.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use crate::{Ctx, Job, JobInput, JobOutput, Kind, Labels, Message, Progress, Seed, Stage, StageError};
 
-/// A stage set up in a folder of its own.
+/// A stage in a temporary folder.
 pub struct Bench {
     folder: tempfile::TempDir,
     kind: Kind,
@@ -21,7 +21,7 @@ impl Bench {
     /// Sets up `S` with `params` (normalised first) and `seed`.
     ///
     /// # Errors
-    /// Parameters that do not fit, or no temporary folder.
+    /// Invalid parameters, or the temporary folder cannot be created.
     pub fn new<S: Stage>(params: &Value, seed: u64) -> Result<Self, StageError> {
         let kind = Kind::of::<S>();
         let params = kind.normalize(params).map_err(StageError::params)?;
@@ -59,29 +59,29 @@ impl Bench {
         self
     }
 
-    /// Seconds between checkpoints; 0 asks for one at every chance.
+    /// Sets the seconds between checkpoints; 0: as often as possible.
     #[must_use]
     pub fn checkpoint_seconds(mut self, seconds: f64) -> Self {
         self.job.checkpoint_seconds = seconds;
         self
     }
 
-    /// Names a folder for curves.
+    /// Sets the folder for training curves.
     #[must_use]
     pub fn curves(mut self, folder: &Path) -> Self {
         self.job.curves = Some(folder.to_owned());
         self
     }
 
-    /// The job, as the engine would write it for the program that runs the stage.
+    /// The job, as the engine would write it.
     pub fn job(&self) -> &Job {
         &self.job
     }
 
-    /// Runs the stage and gives what it said.
+    /// Runs the stage and returns its progress messages.
     ///
     /// # Errors
-    /// The stage's own, or an output that it declared and did not write.
+    /// The stage fails, or does not write all its outputs.
     pub fn run(&self) -> Result<Vec<Progress>, StageError> {
         let mut lines = Vec::new();
         self.kind.run(&self.job.params, &mut Ctx::new(&self.job, &self.cancel, &mut lines))?;
@@ -111,7 +111,7 @@ impl Bench {
         }
     }
 
-    /// A folder for files that the test makes.
+    /// A folder for files of the test.
     pub fn folder(&self) -> &Path {
         self.folder.path()
     }

@@ -1,32 +1,32 @@
-//! The contract of an environment: reset, step, look, save.
+//! The contract of an environment: spaces, reset, step, observe, snapshot, render.
 
 use serde::{Deserialize, Serialize};
 
-use crate::{EnvError, Picture};
+use crate::{EnvError, RgbImage};
 
-/// What observations look like.
+/// Observation space.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum ObservationSpace {
-    /// A grey picture, row-major `u8`, row 0 on top. [`Env::frame`] is the newest picture only; the consumer stacks
-    /// (see [`crate::FrameStack`]).
+    /// Greyscale images, row-major `u8`, row 0 on top. [`Env::frame`] returns only the newest frame; stacking is up to the
+    /// consumer (see [`crate::FrameStack`]).
     Image {
         /// Rows.
         height: usize,
         /// Columns.
         width: usize,
-        /// Pictures that a policy sees at once.
+        /// Number of stacked frames that a policy sees.
         stack: usize,
     },
-    /// A vector of `f32`.
+    /// Vectors of `f32`.
     Vector {
-        /// Its length.
+        /// Length of the vector.
         len: usize,
     },
 }
 
 impl ObservationSpace {
-    /// Values in one frame.
+    /// Number of values in one frame.
     pub fn frame_len(&self) -> usize {
         match self {
             Self::Image { height, width, .. } => height * width,
@@ -34,7 +34,7 @@ impl ObservationSpace {
         }
     }
 
-    /// Frames that a policy sees at once; 1 for vectors.
+    /// Number of stacked frames that a policy sees; 1 for vectors.
     pub fn stack(&self) -> usize {
         match self {
             Self::Image { stack, .. } => *stack,
@@ -43,24 +43,24 @@ impl ObservationSpace {
     }
 }
 
-/// What actions look like.
+/// Action space.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum ActionSpace {
-    /// `dims` numbers, each in [-1, 1].
+    /// Continuous actions: `dims` numbers, each in [-1, 1].
     Continuous {
-        /// Numbers in an action.
+        /// Action dimensions.
         dims: usize,
     },
-    /// One of `actions` choices.
+    /// Discrete actions, numbered from 0.
     Discrete {
-        /// Number of choices.
+        /// Number of actions.
         actions: usize,
     },
 }
 
 impl ActionSpace {
-    /// Values that [`Env::step`] takes.
+    /// Length of the action slice that [`Env::step`] takes; 1 for discrete actions.
     pub fn action_len(&self) -> usize {
         match self {
             Self::Continuous { dims } => *dims,
@@ -68,7 +68,7 @@ impl ActionSpace {
         }
     }
 
-    /// Values that a network answers with: one for each number of an action, or one for each choice.
+    /// Number of network outputs: one per action dimension, or one logit per discrete action.
     pub fn outputs(&self) -> usize {
         match self {
             Self::Continuous { dims } => *dims,
@@ -77,42 +77,42 @@ impl ActionSpace {
     }
 }
 
-/// How an episode stands after a step.
+/// State of an episode after a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Outcome {
-    /// It goes on.
+    /// The episode continues.
     Running,
-    /// Lap finished, or landed.
+    /// Terminated with success: lap finished, or landed.
     Finished,
-    /// Terminal failure: left the playfield, or crashed.
+    /// Terminated with failure: left the playfield, or crashed.
     Failed,
-    /// The time limit was reached: the episode is truncated, its state is not terminal.
+    /// Truncated at the time limit: the last state is not terminal.
     TimeLimit,
 }
 
 impl Outcome {
-    /// True where the episode is over.
+    /// True if the episode is over.
     pub fn ended(self) -> bool {
         self != Self::Running
     }
 
-    /// True where the last state is terminal, so that its value is 0; false at a time limit.
+    /// True if the last state is terminal, so that its value is 0; false at truncation.
     pub fn terminal(self) -> bool {
         matches!(self, Self::Finished | Self::Failed)
     }
 }
 
-/// What a step gave.
+/// Result of a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Step {
-    /// The environment's own reward, unscaled.
+    /// Reward of the environment, unscaled.
     pub reward: f64,
-    /// How the episode stands.
+    /// State of the episode.
     pub outcome: Outcome,
 }
 
-/// Where the body that an agent moves is, in the environment's own units of length.
+/// Position, angle and speed of the body that the agent controls, in the environment's own units of length.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
     /// Along the horizontal axis.
@@ -132,16 +132,16 @@ impl Pose {
     }
 }
 
-/// A line of the world that stays where it is for an episode: the side of a track, the ground.
+/// A line of the world that does not move during an episode: the side of a track, the ground.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MapLine {
-    /// What it is.
+    /// Its name.
     pub name: &'static str,
     /// Its points in order, in the units of [`Pose`]; a closed line ends with its first point.
     pub points: Vec<[f64; 2]>,
 }
 
-/// One observation without its history.
+/// One observation, without stacked history.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Frame<'a> {
     /// Row-major `u8`, row 0 on top.
@@ -151,7 +151,7 @@ pub enum Frame<'a> {
 }
 
 impl Frame<'_> {
-    /// A copy that outlives the environment's next step.
+    /// An owned copy.
     pub fn to_owned(self) -> OwnedFrame {
         match self {
             Frame::Image(pixels) => OwnedFrame::Image(pixels.to_vec()),
@@ -170,7 +170,7 @@ pub enum OwnedFrame {
 }
 
 impl OwnedFrame {
-    /// The frame.
+    /// A borrowed view.
     pub fn as_frame(&self) -> Frame<'_> {
         match self {
             Self::Image(pixels) => Frame::Image(pixels),
@@ -179,41 +179,40 @@ impl OwnedFrame {
     }
 }
 
-/// All that is needed to continue an episode bit-identically: its seed and the actions taken, which are replayed.
+/// Everything needed to continue an episode bit-identically: its seed and the actions taken, which are replayed.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EnvSnapshot {
-    /// The seed of the episode; none before the first reset.
+    /// Seed of the episode; none before the first reset.
     pub seed: Option<u64>,
-    /// The actions since the reset, step by step, as the environment used them (clamped).
+    /// Actions since the reset, step by step, as the environment used them (clamped).
     pub actions: Vec<f32>,
 }
 
-/// An environment that plays one episode at a time.
+/// An environment, which runs one episode at a time.
 ///
-/// Everything that happens in an episode follows from its seed and the actions: nothing carries over from the episode
-/// before.
+/// An episode is determined by its seed and the actions; nothing carries over from the previous episode.
 pub trait Env: Send {
-    /// What [`Env::frame`] gives.
+    /// Space of the observations that [`Env::frame`] returns.
     fn observation_space(&self) -> ObservationSpace;
 
-    /// What [`Env::step`] takes.
+    /// Space of the actions that [`Env::step`] takes.
     fn action_space(&self) -> ActionSpace;
 
-    /// Starts the episode that `seed` names; the first observation is then in [`Env::frame`].
+    /// Starts the episode with this seed; [`Env::frame`] then returns the first observation.
     ///
     /// # Errors
-    /// The episode cannot be made.
+    /// The seed gives no valid start, or the process that runs the environment failed.
     fn reset(&mut self, seed: u64) -> Result<(), EnvError>;
 
-    /// Acts once. `action`: `dims` values (continuous) or one index (discrete). Values outside [-1, 1] are clamped.
+    /// Takes one step. `action`: `dims` values (continuous), clamped to [-1, 1], or one index (discrete).
     ///
     /// # Errors
-    /// Wrong length, NaN, no episode, or the episode is over.
+    /// Wrong length, NaN, no running episode.
     fn step(&mut self, action: &[f32]) -> Result<Step, EnvError>;
 
-    /// Begins the step that the next call of [`Env::step`], with the same action, completes. An environment in another
-    /// process works meanwhile; others have nothing to do before the step itself.
+    /// Starts the step that the next call of [`Env::step`], with the same action, completes, so that environments in other
+    /// processes run in parallel. Does nothing by default.
     ///
     /// # Errors
     /// As [`Env::step`].
@@ -224,41 +223,28 @@ pub trait Env: Send {
     /// The newest observation.
     fn frame(&self) -> Frame<'_>;
 
-    /// What [`Env::restore`] needs.
+    /// Snapshot for [`Env::restore`].
     fn snapshot(&self) -> EnvSnapshot;
 
-    /// Brings back the episode at the point where the snapshot was taken.
+    /// Restores the episode to the point at which the snapshot was taken.
     ///
     /// # Errors
-    /// The snapshot is not one of an environment like this.
+    /// The snapshot is not from an environment with these settings.
     fn restore(&mut self, snapshot: &EnvSnapshot) -> Result<(), EnvError>;
 
-    /// A colour picture for people, `width` x `height`.
+    /// Renders the current state as an RGB image of `width` x `height` pixels.
     ///
     /// # Errors
-    /// A size that cannot be drawn, or an environment that has no picture.
-    fn render(&mut self, width: usize, height: usize) -> Result<Picture, EnvError>;
+    /// An unsupported size, or an environment that cannot render.
+    fn render(&mut self, width: usize, height: usize) -> Result<RgbImage, EnvError>;
 
-    /// Where the agent's body is; `None` where the environment does not say, and before the first episode.
+    /// The pose of the agent's body; `None` if the environment has none, and before the first episode.
     fn pose(&self) -> Option<Pose> {
         None
     }
 
-    /// The lines of the running episode's world; none where the environment does not say.
+    /// The lines of the running episode's world; none if the environment has none, and before the first episode.
     fn map(&self) -> Vec<MapLine> {
         Vec::new()
-    }
-}
-
-/// The action with its values clamped to [-1, 1].
-///
-/// # Errors
-/// Wrong length, or NaN.
-pub(crate) fn checked<const DIMS: usize>(action: &[f32]) -> Result<[f32; DIMS], EnvError> {
-    let action: [f32; DIMS] =
-        action.try_into().map_err(|_| EnvError::ActionLength { seen: action.len(), expected: DIMS })?;
-    match action.iter().position(|value| value.is_nan()) {
-        Some(dimension) => Err(EnvError::ActionNan { dimension }),
-        None => Ok(action.map(|value| value.clamp(-1.0, 1.0))),
     }
 }

@@ -1,4 +1,4 @@
-//! How an environment refuses: every error says what was seen and what was expected.
+//! Errors of environments: each says what was seen and what was expected.
 
 use crate::gymnasium::GymnasiumError;
 
@@ -22,18 +22,18 @@ pub enum EnvError {
         /// Values that the action space has.
         expected: usize,
     },
-    /// An action that is not a number.
+    /// An action with a NaN.
     #[error("action dimension {dimension} is NaN, expected a number (values outside [-1, 1] are clamped)")]
     ActionNan {
         /// Index of the value.
         dimension: usize,
     },
-    /// A choice that there is not.
+    /// A discrete action that does not exist.
     #[error("the action is {chosen}, expected a whole number from 0 to {}", .choices - 1)]
     Choice {
-        /// The action given.
+        /// The given action.
         chosen: f32,
-        /// How many there are to choose from.
+        /// Number of discrete actions.
         choices: usize,
     },
     /// A step before the first reset.
@@ -42,27 +42,27 @@ pub enum EnvError {
     /// A step after the episode's end.
     #[error("`step` after the end of the episode (step {length}): call `reset` first")]
     Over {
-        /// Steps that the episode had.
+        /// Length of the episode, in steps.
         length: usize,
     },
-    /// The random draws never gave a closed track.
+    /// The random draws gave no closed track.
     #[error("no closed track in {attempts} attempts: the track draws are not uniform random numbers")]
     NoTrack {
         /// Attempts made.
         attempts: usize,
     },
-    /// A snapshot that this environment cannot have made.
+    /// A snapshot that is not from this environment.
     #[error("cannot restore the snapshot: {0}")]
     Snapshot(String),
-    /// A picture size or a file that cannot be made.
-    #[error("cannot draw: {0}")]
-    Picture(String),
+    /// Rendering, or writing an image or video, failed.
+    #[error("cannot render: {0}")]
+    Render(String),
     /// The worker threads could not be started.
     #[error("cannot start {threads} environment threads: {message}")]
     Threads {
-        /// Threads asked for.
+        /// Requested number of threads.
         threads: usize,
-        /// The system's answer.
+        /// The operating system's error.
         message: String,
     },
     /// The bridge to Gymnasium.
@@ -73,7 +73,7 @@ pub enum EnvError {
     Worker {
         /// Its index.
         index: usize,
-        /// What happened there.
+        /// Its error.
         source: Box<EnvError>,
     },
 }

@@ -1,75 +1,75 @@
 //! `bc`: behaviour cloning.
 
-use crate::artifacts::POLICY;
 use dril_envs::DEMONSTRATIONS;
 use dril_stage_api::{Artifact, Describe, Needs, Ports, Problems};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::artifacts::POLICY;
 use crate::default::defaults;
 use crate::update::NO_PRECISION;
 use crate::{Device, Network, PolicyFamily};
 
-/// Behaviour cloning: fits an agent's mean action to the demonstrated ones, with early stopping.
+/// Behaviour cloning: fits a policy's mean action to the demonstrated actions, with early stopping.
 #[derive(Clone, Copy, Debug)]
 pub struct Bc;
 
-/// How demonstrations are divided into training and validation data.
+/// How demonstrations are split into training and validation data.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Split {
-    /// By single pairs of observation and action, as the reference does. Neighbouring frames fall on both sides, so
-    /// validation is optimistic.
+    /// By single transitions (observation and action), as in the reference code. Neighbouring frames end up on both
+    /// sides, so the validation loss is optimistic.
     #[default]
     Pairs,
-    /// By whole trajectories; a single trajectory is cut into two blocks.
+    /// By whole trajectories. A single trajectory is split into two contiguous blocks.
     Trajectories,
 }
 
-/// Which of the held-out pairs the validation loss is computed on.
+/// Which held-out transitions the validation loss is computed on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Validation {
-    /// All of them, each time.
+    /// All of them, after every epoch.
     #[default]
     All,
-    /// Whole batches of the set, shuffled anew for each pass, as in the reference code: what does not fill a batch is left
-    /// out. With one trajectory, that is one random batch of `batch_size` pairs. Fewer pairs than a batch are one batch.
+    /// Full batches of a newly shuffled validation set, as in the reference code; the last partial batch is dropped. With
+    /// one trajectory, this is one random batch of `batch_size` transitions. Fewer transitions than a batch form one.
     AsReference,
 }
 
-/// What stands under `with:` of a `bc` stage.
+/// Parameters of a `bc` stage (`with:`).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct BcParams {
-    /// The distribution over actions.
+    /// Action distribution of the policy.
     pub policy: PolicyFamily,
-    /// The layers; by default those that fit the observation: `dril-cnn` or `mlp`.
+    /// Network architecture. Default: `dril-cnn` for images, `mlp` for vectors.
     #[serde(default)]
     pub network: Option<Network>,
-    /// Passes over the training data at most.
+    /// Maximum number of epochs (passes over the training data).
     #[serde(default = "default::n_epochs")]
     pub n_epochs: u64,
-    /// Passes without a better validation loss after which training ends; the best weights are kept.
+    /// Early stopping: training ends after this many epochs without a lower validation loss. The best weights are kept.
     #[serde(default = "default::patience")]
     pub patience: u64,
-    /// Pairs a step. The thesis says 32; its code has 100. What does not fill a batch at the end of a pass is left out;
-    /// fewer pairs than a batch are one batch.
+    /// Transitions per gradient step. The thesis states 32; its code uses 100. The last partial batch of an epoch is
+    /// dropped; fewer transitions than a batch form one.
     #[serde(default = "default::batch_size")]
     pub batch_size: u64,
-    /// Adam's step size.
+    /// Learning rate of Adam.
     #[serde(default = "default::learning_rate")]
     pub learning_rate: f64,
-    /// Share of the data that is held out.
+    /// Fraction of the transitions held out for validation.
     #[serde(default = "default::validation_fraction")]
     pub validation_fraction: f64,
-    /// How data is held out.
+    /// How transitions are held out.
     #[serde(default)]
     pub split: Split,
-    /// Which of the held-out pairs the validation loss is computed on.
+    /// Which held-out transitions the validation loss is computed on.
     #[serde(default)]
     pub validation: Validation,
-    /// Where networks are computed; other devices give other bits, so it is part of the key.
+    /// Device that computes the networks. Devices differ in the last bits, so it is part of the key.
     #[serde(default)]
     pub device: Device,
 }
@@ -85,7 +85,7 @@ defaults! {
 impl Describe for Bc {
     const KIND: &'static str = "bc";
     const REVISION: u32 = 3;
-    const ABOUT: &'static str = "clones a demonstrated behaviour, with early stopping";
+    const ABOUT: &'static str = "behaviour cloning of demonstrations, with early stopping";
     const RENAMED: &'static [(&'static str, &'static str)] = &[("max_epochs", "n_epochs")];
     const REMOVED: &'static [(&'static str, &'static str)] = &[NO_PRECISION];
     type Params = BcParams;
@@ -100,8 +100,8 @@ impl Describe for Bc {
 
     fn ports(_: &BcParams) -> Ports {
         Ports::new()
-            .input("demonstrations", DEMONSTRATIONS, "what to imitate")
-            .output("policy", POLICY, "safetensors", "the agent with the best validation loss")
+            .input("demonstrations", DEMONSTRATIONS, "the demonstrations to imitate")
+            .output("policy", POLICY, "safetensors", "the policy with the lowest validation loss")
             .output("log", Artifact::TRAINING_LOG, "csv", "one row per epoch")
     }
 
@@ -110,7 +110,7 @@ impl Describe for Bc {
     }
 }
 
-/// Reports a share of held-out data that leaves nothing on one side.
+/// Reports a validation fraction that leaves one side without data.
 pub(crate) fn check_fraction(value: f64, problems: &mut Problems) {
     if !(value > 0.0 && value < 1.0) {
         problems.add(

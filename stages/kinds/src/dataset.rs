@@ -1,40 +1,40 @@
-//! `dataset`: packs recorded episodes into what the imitators learn from.
+//! `dataset`: selects recorded episodes to learn from.
 
 use dril_envs::DEMONSTRATIONS;
 use dril_stage_api::{Describe, Needs, Ports, Problems};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Takes the first episodes of a recording and brings their actions into [-1, 1].
+/// Takes the first episodes of a recording, with actions in [-1, 1].
 #[derive(Clone, Copy, Debug)]
 pub struct Dataset;
 
-/// What is done with actions.
+/// How actions are brought into range.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum ActionRange {
-    /// Actions of an unbounded policy are clipped to [-1, 1].
+    /// Clips actions to [-1, 1]; for recordings of a policy with unbounded actions.
     Clipped,
-    /// Actions must lie in [-1, 1] already, as a Beta policy's do; others are an error.
+    /// Requires that actions are in [-1, 1], as those of a Beta policy; others are an error.
     Bounded,
-    /// Actions stay as they are.
+    /// Leaves actions unchanged.
     Raw,
 }
 
-/// What stands under `with:` of a `dataset` stage.
+/// Parameters of a `dataset` stage (`with:`).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DatasetParams {
-    /// What is done with actions.
+    /// How actions are brought into range.
     pub actions: ActionRange,
-    /// How many episodes, from the first on: smaller sets are part of larger ones, as in the thesis.
+    /// Number of episodes (trajectories), from the first. A smaller dataset is a subset of a larger one, as in the thesis.
     pub trajectories: u64,
 }
 
 impl Describe for Dataset {
     const KIND: &'static str = "dataset";
     const REVISION: u32 = 2;
-    const ABOUT: &'static str = "takes the first episodes of a recording, with actions in [-1, 1]";
+    const ABOUT: &'static str = "selects the first episodes of a recording, with actions in [-1, 1]";
     const SEEDED: bool = false;
     type Params = DatasetParams;
 
@@ -47,7 +47,7 @@ impl Describe for Dataset {
             "demonstrations",
             DEMONSTRATIONS,
             "demos",
-            "the set to learn from",
+            "the selected episodes",
         )
     }
 

@@ -1,4 +1,4 @@
-//! Literal defaults of fields, for structs in which other fields have none: serde asks for a function for each.
+//! Literal default values of fields, for structs in which other fields are required: serde needs a function for each.
 
 /// Writes a module `default` with one function a line: `defaults! { patience: u64 = 20; }` is
 /// `#[serde(default = "default::patience")]`.

@@ -1,49 +1,49 @@
-//! `ensemble`: the policies whose disagreement DRIL punishes.
+//! `ensemble`: the policies whose disagreement DRIL penalises.
 
-use crate::artifacts::ENSEMBLE;
 use dril_envs::DEMONSTRATIONS;
 use dril_stage_api::{Artifact, Describe, Needs, Ports, Problems};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::artifacts::ENSEMBLE;
 use crate::bc::check_fraction;
 use crate::update::NO_PRECISION;
 use crate::{Device, Split};
 
-/// Trains an ensemble of policies, each on its own bootstrap of the demonstrations (Brantley et al. 2020).
+/// Trains an ensemble of policies, each on its own bootstrap sample of the demonstrations (Brantley et al. 2020).
 #[derive(Clone, Copy, Debug)]
 pub struct Ensemble;
 
-/// How many pairs a member's bootstrap holds.
+/// Size of each member's bootstrap sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Bootstrap {
-    /// As many as the training data, for each member, as the method says.
+    /// As many transitions as the training data, as the method prescribes.
     Full,
-    /// An `n_members`-th of that, as the code behind the thesis does to save memory.
+    /// An `n_members`-th of the training data, as the thesis's code does to save memory.
     Shrunk,
 }
 
-/// What stands under `with:` of an `ensemble` stage.
+/// Parameters of an `ensemble` stage (`with:`).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct EnsembleParams {
-    /// Policies.
+    /// Number of policies.
     pub n_members: u64,
-    /// Passes over the bootstrapped data; the last weights are kept.
+    /// Number of epochs (passes over the bootstrap samples). The last weights are kept.
     pub n_epochs: u64,
-    /// Pairs a step, divided among the members (cut to a multiple of `n_members`). What does not fill a batch at the end
-    /// of a pass is left out; fewer pairs than a batch are one batch.
+    /// Transitions per gradient step, divided evenly among the members (rounded down to a multiple of `n_members`). The
+    /// last partial batch of an epoch is dropped; fewer transitions than a batch form one.
     pub batch_size: u64,
-    /// Adam's step size.
+    /// Learning rate of Adam.
     pub learning_rate: f64,
-    /// Share of the data that is held out.
+    /// Fraction of the transitions held out for validation.
     pub validation_fraction: f64,
-    /// How data is held out.
+    /// How transitions are held out.
     pub split: Split,
-    /// How many pairs a member's bootstrap holds.
+    /// Size of each member's bootstrap sample.
     pub bootstrap: Bootstrap,
-    /// Where networks are computed; other devices give other bits, so it is part of the key.
+    /// Device that computes the networks. Devices differ in the last bits, so it is part of the key.
     pub device: Device,
 }
 
@@ -65,20 +65,20 @@ impl Default for EnsembleParams {
 impl Describe for Ensemble {
     const KIND: &'static str = "ensemble";
     const REVISION: u32 = 3;
-    const ABOUT: &'static str = "trains an ensemble of policies on bootstraps of the demonstrations";
+    const ABOUT: &'static str = "trains an ensemble of policies on bootstrap samples of the demonstrations";
     const RENAMED: &'static [(&'static str, &'static str)] =
         &[("members", "n_members"), ("epochs", "n_epochs")];
     const REMOVED: &'static [(&'static str, &'static str)] = &[NO_PRECISION];
     type Params = EnsembleParams;
 
     fn check(params: &EnsembleParams, problems: &mut Problems) {
-        problems.range("n_members", params.n_members, 2.., "at least 2: one policy has no disagreement");
+        problems.range("n_members", params.n_members, 2.., "at least 2: a single policy cannot disagree");
         problems.positive("n_epochs", params.n_epochs);
         problems.positive_number("learning_rate", params.learning_rate);
         check_fraction(params.validation_fraction, problems);
         if params.batch_size < params.n_members {
             let message = format!(
-                "`batch_size` is {}, expected at least one pair for each of the {} `n_members`",
+                "`batch_size` is {}, expected at least one transition for each of the {} `n_members`",
                 params.batch_size, params.n_members
             );
             problems.add("batch_size", message);
@@ -87,8 +87,8 @@ impl Describe for Ensemble {
 
     fn ports(_: &EnsembleParams) -> Ports {
         Ports::new()
-            .input("demonstrations", DEMONSTRATIONS, "what to imitate")
-            .output("ensemble", ENSEMBLE, "safetensors", "the policies")
+            .input("demonstrations", DEMONSTRATIONS, "the demonstrations to imitate")
+            .output("ensemble", ENSEMBLE, "safetensors", "the ensemble")
             .output("log", Artifact::TRAINING_LOG, "csv", "one row per epoch")
     }
 

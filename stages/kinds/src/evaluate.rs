@@ -1,38 +1,38 @@
-//! `evaluate`: scores an agent on a fixed list of seeds.
+//! `evaluate`: scores a policy on a fixed list of seeds.
 
-use crate::artifacts::POLICY;
 use dril_envs::EnvConfig;
+use dril_envs::params::{check_env, check_seeds};
 use dril_stage_api::{Artifact, Describe, Needs, Ports, Problems};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::Mode;
+use crate::artifacts::POLICY;
 use crate::default::defaults;
-use crate::update::check_env;
 
-/// Plays one episode with each seed of a fixed list and writes the scores.
+/// Plays one episode for each seed of a fixed list and writes the scores.
 #[derive(Clone, Copy, Debug)]
 pub struct Evaluate;
 
-/// What stands under `with:` of an `evaluate` stage.
+/// Parameters of an `evaluate` stage (`with:`).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct EvaluateParams {
     /// The environment.
     pub env: EnvConfig,
-    /// How the agent acts.
+    /// How the policy chooses its actions.
     pub mode: Mode,
-    /// Episodes, each with a seed of its own.
+    /// Number of episodes, each with its own seed.
     #[serde(default = "default::episodes")]
     pub episodes: u64,
-    /// Episode i is played with the seed `first_seed` + i, which names its track, ground or level: the same list for
-    /// every agent.
+    /// Episode i uses the environment seed `first_seed` + i, which determines its track, terrain or level. All policies are
+    /// evaluated on the same seeds.
     pub first_seed: u64,
-    /// Probability, drawn at each step, of acting by the mean although a draw was asked for. The reference's
-    /// "stochastic" evaluation has 0.1.
+    /// Probability per step of using the mean action in stochastic mode. The reference code evaluates "stochastic"
+    /// policies with 0.1.
     #[serde(default)]
     pub mean_action_probability: f64,
-    /// Which episodes count.
+    /// Which episodes are counted.
     #[serde(default)]
     pub counted: Counted,
 }
@@ -45,18 +45,18 @@ defaults! {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Counted {
-    /// Those of the list, however long they last: every agent plays the same seeds.
+    /// Those of the list of seeds, however long they last: every policy is evaluated on the same seeds.
     #[default]
     Listed,
-    /// The first that finish, where eight environments go through the seeds side by side without end, as the reference
-    /// does it: crashes and quick laps come in before long episodes, and two agents are seen on different seeds.
+    /// The first to finish of eight environments that run through the seeds in parallel, as in the reference code. Short
+    /// episodes (crashes, fast laps) are over-represented, and two policies are evaluated on different seeds.
     FirstFinished,
 }
 
 impl Describe for Evaluate {
     const KIND: &'static str = "evaluate";
     const REVISION: u32 = 3;
-    const ABOUT: &'static str = "plays one episode with each seed of a fixed list and writes the scores";
+    const ABOUT: &'static str = "plays one episode for each seed of a fixed list and writes the scores";
     const RENAMED: &'static [(&'static str, &'static str)] = RENAMED;
     type Params = EvaluateParams;
 
@@ -68,7 +68,7 @@ impl Describe for Evaluate {
     }
 
     fn ports(_: &EvaluateParams) -> Ports {
-        Ports::new().input("policy", POLICY, "the agent").output(
+        Ports::new().input("policy", POLICY, "the policy").output(
             "scores",
             Artifact::SCORES,
             "csv",
@@ -83,13 +83,3 @@ impl Describe for Evaluate {
 
 /// For [`Describe::RENAMED`].
 pub(crate) const RENAMED: &[(&str, &str)] = &[("first_track_seed", "first_seed")];
-
-/// Reports a list of seeds that runs over the end of the numbers.
-pub(crate) fn check_seeds(first: u64, count: u64, problems: &mut Problems) {
-    if first.checked_add(count).is_none() {
-        problems.add(
-            "first_seed",
-            format!("`first_seed` is {first}: {count} seeds from there do not fit 64 bits"),
-        );
-    }
-}

@@ -1,7 +1,7 @@
-//! The learning kinds as the engine plans with them: parameters, ports and needs, without libtorch.
+//! The learning kinds as the engine plans with them: parameters, ports and resource needs, without libtorch.
 //!
-//! Each module describes one kind; `dril-learn` implements them. Defaults are literal values; the pipelines state
-//! those of the thesis's experiments. Where text and code of the original differ, the field says which is which.
+//! Each module describes one kind; `dril-learn` runs them. Defaults are literal values; the pipelines state those of the
+//! thesis's experiments. Where the thesis's text and its code differ, the field's documentation says how.
 
 pub mod artifacts;
 mod bc;
@@ -31,14 +31,14 @@ pub use ppo::{Ppo, PpoParams};
 pub use probe::{Probe, ProbeParams};
 pub use replay::REPLAY;
 pub use trace::{Trace, TraceParams};
-pub use update::UpdateSettings;
+pub use update::UpdateParams;
 
 use dril_stage_api::Kind;
 
-/// The executable that runs these kinds; it stands beside `dril-pipe`.
+/// The executable that runs these kinds; it is installed in the same folder as `dril-pipe`.
 pub const WORKER: &str = "dril-pipe-learn";
 
-/// All of them, to plan with.
+/// All learning kinds, for planning. A new kind is registered here and in `dril_learn::KINDS`.
 pub const KINDS: [Kind; 9] = [
     Kind::run_by::<Ppo>(WORKER),
     Kind::run_by::<Evaluate>(WORKER),

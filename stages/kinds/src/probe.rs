@@ -13,7 +13,7 @@ use crate::{Network, PolicyFamily};
 #[derive(Clone, Copy, Debug)]
 pub struct Probe;
 
-/// What stands under `with:` of a `probe` stage.
+/// Parameters of a `probe` stage (`with:`).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ProbeParams {

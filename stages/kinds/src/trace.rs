@@ -1,5 +1,6 @@
 //! `trace`: one episode step by step, played by an agent or walked through as it was recorded.
 
+use dril_envs::params::{check_env, check_seeds};
 use dril_envs::{DEMONSTRATIONS, EnvConfig};
 use dril_stage_api::{Artifact, Describe, Needs, Ports, Problems};
 use schemars::JsonSchema;
@@ -7,15 +8,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::artifacts::{ENSEMBLE, POLICY};
 use crate::default::defaults;
-use crate::evaluate::check_seeds;
-use crate::update::check_env;
 use crate::{Mode, RewardScheme, Thresholds};
 
 /// Writes what happens at each step of a few episodes.
 #[derive(Clone, Copy, Debug)]
 pub struct Trace;
 
-/// What stands under `with:` of a `trace` stage.
+/// Parameters of a `trace` stage (`with:`).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TraceParams {
@@ -51,7 +50,7 @@ pub struct TraceParams {
     /// With an ensemble: the reward for disagreement within and above the limit, as in `dril`.
     #[serde(default)]
     pub reward: RewardScheme,
-    /// With an ensemble that takes choices: whose limit holds for a choice, as in `dril`.
+    /// With an ensemble, for discrete actions: whose limit applies to an action, as in `dril`.
     #[serde(default)]
     pub thresholds: Thresholds,
 }

@@ -1,38 +1,67 @@
-//! The settings of one update, and the check of an environment that several kinds share.
+//! Parameters of one update of the policy, which every on-policy kind has.
 
 use dril_stage_api::Problems;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
-use crate::Algorithm;
-
-/// One PPO update (Schulman et al. 2017): what happens to a rollout.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct UpdateSettings {
-    /// What an update is.
-    pub algorithm: Algorithm,
-    /// Passes over the rollout.
+/// How a policy is updated from a rollout (Schulman et al. 2017); flattened into the parameters of `ppo` and `dril`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
+pub struct UpdateParams {
+    /// Number of epochs: passes over each rollout.
     pub n_epochs: u64,
-    /// Minibatches a pass; the rollout is cut into this many, a remainder is dropped.
+    /// Number of minibatches per epoch (their number, not their size). A remainder of the rollout is dropped.
     pub n_minibatches: u64,
-    /// ε of the clipped surrogate and of the clipped value loss.
+    /// Clipping range ε of the surrogate objective and of the value loss.
     pub clip_range: f64,
-    /// Weight of the entropy bonus.
+    /// Entropy coefficient: weight of the entropy bonus in the loss.
     pub ent_coef: f64,
-    /// Weight of the value loss.
+    /// Value function coefficient: weight of the value loss.
     pub vf_coef: f64,
-    /// Global norm to which gradients are clipped.
+    /// Maximum global norm of the gradients; larger ones are scaled down.
     pub max_grad_norm: f64,
-    /// Discount.
+    /// Discount factor γ.
     pub gamma: f64,
     /// λ of generalised advantage estimation (Schulman et al. 2016).
     pub gae_lambda: f64,
 }
 
-/// Reports what is wrong with an environment.
-pub(crate) fn check_env(env: &dril_envs::EnvConfig, problems: &mut Problems) {
-    for (path, message) in env.check() {
-        problems.add(&format!("env.{path}"), message);
+impl Default for UpdateParams {
+    fn default() -> Self {
+        Self {
+            n_epochs: 10,
+            n_minibatches: 32,
+            clip_range: 0.2,
+            ent_coef: 0.0,
+            vf_coef: 0.5,
+            max_grad_norm: 0.5,
+            gamma: 0.99,
+            gae_lambda: 0.95,
+        }
     }
 }
 
-/// Why there is no `precision` any more; for [`dril_stage_api::Describe::REMOVED`].
-pub(crate) const NO_PRECISION: (&str, &str) = ("precision", "leave it out: all is computed with 32 bits");
+impl UpdateParams {
+    /// Reports values out of range, for rollouts of `samples` environment steps.
+    pub(crate) fn check(&self, samples: u64, problems: &mut Problems) {
+        problems.positive("n_minibatches", self.n_minibatches);
+        let count = self.n_minibatches;
+        if samples > 0 && count > samples {
+            let message = format!(
+                "`n_minibatches` is {count}, expected at most the {samples} samples of a rollout (`n_envs` × `n_steps`)"
+            );
+            problems.add("n_minibatches", message);
+        }
+        problems.positive("n_epochs", self.n_epochs);
+        problems.positive_number("clip_range", self.clip_range);
+        problems.range("ent_coef", self.ent_coef, 0.0..=f64::MAX, "at least 0");
+        problems.range("vf_coef", self.vf_coef, 0.0..=f64::MAX, "at least 0");
+        problems.positive_number("max_grad_norm", self.max_grad_norm);
+        problems.fraction("gamma", self.gamma);
+        problems.fraction("gae_lambda", self.gae_lambda);
+    }
+}
+
+/// What replaces the former parameter `precision`; for [`dril_stage_api::Describe::REMOVED`].
+pub(crate) const NO_PRECISION: (&str, &str) =
+    ("precision", "leave it out: everything is computed in single precision (32 bits)");

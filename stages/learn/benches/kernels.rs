@@ -9,7 +9,7 @@ mod peak;
 
 use std::hint::black_box;
 
-use dril_learn::kernels::{Buffer, Path, activation, adam, conv, dense, forced, layout, paths};
+use dril_learn::kernels::{Buffer, Path, activation, conv, dense, forced, layout, optimizer, paths};
 
 use peak::{peak, per_cpu_second};
 
@@ -154,10 +154,10 @@ fn elementwise() {
     let (mut value, mut m, gradient) = (noise(parameters), noise(parameters), noise(parameters));
     let mut v = noise(parameters);
     v.iter_mut().for_each(|number| *number *= *number);
-    let with = adam::Step { scale: 0.7, beta1: 0.9, beta2: 0.999, rate: 1e-9, root: 1.7, epsilon: 1e-5 };
-    show("adam step, 2.2 million", &mut || adam::step(&mut value, &mut m, &mut v, &gradient, with));
+    let with = optimizer::Step { scale: 0.7, beta1: 0.9, beta2: 0.999, rate: 1e-9, root: 1.7, epsilon: 1e-5 };
+    show("adam step, 2.2 million", &mut || optimizer::step(&mut value, &mut m, &mut v, &gradient, with));
     show("sum of squares, 2.2 million", &mut || {
-        black_box(adam::sum_of_squares(&gradient));
+        black_box(optimizer::sum_of_squares(&gradient));
     });
     let shape = dense::Shape { inputs: 3136, outputs: 512 };
     let (weights, mut panels) = (noise(3136 * 512), Buffer::zeros(shape.panels_len()));

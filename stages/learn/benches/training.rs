@@ -7,7 +7,7 @@
 #![allow(clippy::print_stdout, clippy::unwrap_used, reason = "a program for people")]
 
 use dril_envs::{ActionSpace, Frame, ObservationSpace};
-use dril_kinds::{Algorithm, Network, PolicyFamily, UpdateSettings};
+use dril_kinds::{Algorithm, Network, PolicyFamily, UpdateParams};
 use dril_learn::algorithms::ensemble::{self, Ensemble};
 use dril_learn::algorithms::imitation::Imitator;
 use dril_learn::algorithms::ppo::{Advantages, Update};
@@ -24,8 +24,7 @@ mod peak;
 
 const ACTIONS: ActionSpace = ActionSpace::Continuous { dims: 2 };
 
-const SETTINGS: UpdateSettings = UpdateSettings {
-    algorithm: Algorithm::Ppo,
+const PARAMS: UpdateParams = UpdateParams {
     n_epochs: 1_000_000,
     n_minibatches: 1,
     clip_range: 0.1,
@@ -172,12 +171,12 @@ fn ppo(network: Network, minibatch: usize) -> f64 {
     let wave = |entry: usize| (entry as f32).sin();
     let advantages =
         Advantages { advantages: (0..2048).map(wave).collect(), returns: (0..2048).map(wave).collect() };
-    let settings = UpdateSettings { n_minibatches: (2048 / minibatch) as u64, ..SETTINGS };
+    let params = UpdateParams { n_minibatches: (2048 / minibatch) as u64, ..PARAMS };
     let (mut update, mut stream) = (Update::new(advantages), Seed(1).stream("minibatch"));
     rate(minibatch, || {
-        let entries = update.next_minibatch(&settings, &mut stream).unwrap();
+        let entries = update.next_minibatch((Algorithm::Ppo, &params), &mut stream).unwrap();
         let learner = (&mut policy, &mut adam, &mut gradients);
-        update.learn(learner, &rollout, &entries, &settings, 1e-5).unwrap();
+        update.learn(learner, &rollout, &entries, (Algorithm::Ppo, &params), 1e-5).unwrap();
     })
 }
 

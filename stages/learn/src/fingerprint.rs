@@ -1,11 +1,11 @@
-//! What a result was computed with, for its record: the version of libtorch, and the kind of processor.
+//! The fingerprint of a result, for its record: the version of libtorch, and the type of processor.
 //!
-//! A result of `device: cpu` depends on neither. libtorch, which computes for `device: cuda`, chooses its kernels by the
-//! hardware, and other kernels add in another order.
+//! A result of `device: cpu` depends on neither. libtorch, used for `device: cuda`, selects its kernels by the hardware,
+//! and different kernels sum in a different order.
 
 use dril_stage_api::Ctx;
 
-/// Adds it to the record of the stage's result.
+/// Adds the fingerprint to the record of the stage's result.
 pub fn record(ctx: &mut Ctx<'_>) {
     ctx.made_with(&[("libtorch", LIBTORCH), ("cpu", &cpu())]);
 }
@@ -13,11 +13,11 @@ pub fn record(ctx: &mut Ctx<'_>) {
 /// The libtorch that this program was linked with.
 pub const LIBTORCH: &str = env!("DRIL_LIBTORCH");
 
-/// The processor's maker and its widest vector instructions, as `AuthenticAMD avx512-bf16`.
+/// The processor's vendor and its widest vector instructions, as `AuthenticAMD avx512-bf16`.
 pub fn cpu() -> String {
     #[cfg(target_arch = "x86_64")]
     {
-        format!("{} {}", maker(), widest())
+        format!("{} {}", vendor(), widest())
     }
     #[cfg(not(target_arch = "x86_64"))]
     {
@@ -27,13 +27,13 @@ pub fn cpu() -> String {
 
 /// The vendor string of `cpuid`.
 #[cfg(target_arch = "x86_64")]
-fn maker() -> String {
+fn vendor() -> String {
     let leaf = std::arch::x86_64::__cpuid(0);
     let letters: Vec<u8> = [leaf.ebx, leaf.edx, leaf.ecx].into_iter().flat_map(u32::to_le_bytes).collect();
     String::from_utf8_lossy(&letters).trim_matches(|letter: char| letter.is_control()).to_owned()
 }
 
-/// The last of the sets that oneDNN tells apart.
+/// The widest instruction set that oneDNN distinguishes.
 #[cfg(target_arch = "x86_64")]
 fn widest() -> &'static str {
     let sets = [

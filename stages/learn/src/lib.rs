@@ -1,16 +1,16 @@
 //! The learning stages: PPO, behaviour cloning, the ensemble, DRIL, collecting and evaluating.
 //!
-//! Where things are:
+//! Map:
 //!
-//! - [`algorithms`]: one file for each algorithm; [`training`]: rollouts, statistics, logs and checkpoints around them;
-//!   [`data`]: demonstrations and frames; [`play`]: acting, and the stages that only act.
-//! - [`policy`]: agents, Gaussian, Beta or categorical; [`nn`]: networks with their two backends; [`kernels`]: the inner
-//!   loops of the native one.
-//! - [`spaces`]: from environments to networks; [`worker`] and [`fingerprint`]: what every stage does first.
+//! - [`algorithms`]: one file for each algorithm; [`training`]: the rollouts, statistics, logs and checkpoints that they
+//!   share; [`data`]: demonstrations and frames; [`play`]: acting, and the stages that only act.
+//! - [`policy`]: Gaussian, Beta and categorical policies; [`nn`]: networks and their two backends; [`kernels`]: the inner
+//!   loops of the native backend.
+//! - [`spaces`]: matches policies with environments; [`worker`] and [`fingerprint`]: set-up of the worker process.
 //!
-//! This is the only crate that links libtorch, which computes networks where `device: cuda` asks for it and is the oracle
-//! of the tests. Without it nothing that enters a result depends on the processor: equal inputs, parameters and seeds
-//! give equal bytes on every x86-64 processor with AVX2 and FMA.
+//! This is the only crate that links libtorch, which computes networks for `device: cuda` and serves as the oracle of the
+//! tests. On the CPU, nothing that enters a result depends on the processor: equal inputs, parameters and seeds give equal
+//! bytes on every x86-64 processor with AVX2 and FMA.
 
 pub mod algorithms;
 pub mod data;
@@ -27,17 +27,17 @@ pub mod worker;
 
 use dril_stage_api::Kind;
 
-use worker::Prepared;
+use worker::InWorker;
 
-/// The stage kinds of this crate, as [`dril_kinds::KINDS`] describes them.
+/// The stage kinds that this crate runs; [`dril_kinds::KINDS`] describes them.
 pub const KINDS: [Kind; 9] = [
-    Kind::of::<Prepared<algorithms::ppo_stage::PpoStage>>(),
-    Kind::of::<Prepared<play::evaluate::EvaluateStage>>(),
-    Kind::of::<Prepared<play::collect::CollectStage>>(),
-    Kind::of::<Prepared<data::dataset::DatasetStage>>(),
-    Kind::of::<Prepared<algorithms::bc::BcStage>>(),
-    Kind::of::<Prepared<algorithms::ensemble::EnsembleStage>>(),
-    Kind::of::<Prepared<algorithms::dril::DrilStage>>(),
-    Kind::of::<Prepared<play::trace::TraceStage>>(),
-    Kind::of::<Prepared<play::probe::ProbeStage>>(),
+    Kind::of::<InWorker<algorithms::ppo_stage::PpoStage>>(),
+    Kind::of::<InWorker<play::evaluate::EvaluateStage>>(),
+    Kind::of::<InWorker<play::collect::CollectStage>>(),
+    Kind::of::<InWorker<data::dataset::DatasetStage>>(),
+    Kind::of::<InWorker<algorithms::bc::BcStage>>(),
+    Kind::of::<InWorker<algorithms::ensemble::EnsembleStage>>(),
+    Kind::of::<InWorker<algorithms::dril::DrilStage>>(),
+    Kind::of::<InWorker<play::trace::TraceStage>>(),
+    Kind::of::<InWorker<play::probe::ProbeStage>>(),
 ];

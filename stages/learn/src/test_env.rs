@@ -1,7 +1,7 @@
 //! A world so small that learning in it takes a second: see a number, say it.
 
 use dril_envs::{
-    ActionSpace, Env, EnvError, EnvSnapshot, Frame, ObservationSpace, Outcome, Picture, Step, VecEnv,
+    ActionSpace, Env, EnvError, EnvSnapshot, Frame, ObservationSpace, Outcome, RgbImage, Step, VecEnv,
 };
 use dril_stage_api::{Seed, StreamRng};
 use rand::RngExt;
@@ -95,7 +95,7 @@ impl Env for Echo {
         snapshot.actions.iter().try_for_each(|action| self.step(&[*action]).map(|_| ()))
     }
 
-    fn render(&mut self, _: usize, _: usize) -> Result<Picture, EnvError> {
-        Err(EnvError::Picture("there is nothing to see".into()))
+    fn render(&mut self, _: usize, _: usize) -> Result<RgbImage, EnvError> {
+        Err(EnvError::Render("there is nothing to see".into()))
     }
 }

@@ -1,4 +1,4 @@
-//! What every learning stage does first: the process is set up, and the result's fingerprint recorded.
+//! Set-up of the worker process, which every learning stage needs before it runs.
 
 use std::marker::PhantomData;
 use std::sync::Once;
@@ -7,11 +7,11 @@ use dril_stage_api::{Ctx, Describe, Stage, StageError};
 
 use crate::fingerprint;
 
-/// The stage `S` in a process that is set up for learning.
+/// The stage `S`, run after the process was set up and the fingerprint of its result recorded.
 #[derive(Clone, Copy, Debug)]
-pub struct Prepared<S>(PhantomData<S>);
+pub struct InWorker<S>(PhantomData<S>);
 
-impl<S: Stage> Stage for Prepared<S> {
+impl<S: Stage> Stage for InWorker<S> {
     type Kind = S::Kind;
 
     fn run(params: &<S::Kind as Describe>::Params, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
@@ -21,25 +21,25 @@ impl<S: Stage> Stage for Prepared<S> {
     }
 }
 
-/// Sets the process up: the allocator keeps freed memory, and libtorch computes on one thread.
+/// Sets up the process: the allocator keeps freed memory, and libtorch uses one thread.
 ///
-/// Two stages side by side lose no throughput against one stage on two threads, and results must not depend on how many
-/// cores a machine has.
+/// Two stages in parallel have the throughput of one stage on two threads, and results must not depend on the number of
+/// cores.
 pub fn prepare() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {
         keep_freed_memory();
-        // Torch refuses to be asked twice.
+        // libtorch allows this call only once.
         tch::set_num_interop_threads(1);
     });
-    // OpenMP keeps this number per thread, so a second thread has to set it as well.
+    // OpenMP stores this number per thread, so every thread has to set it.
     tch::set_num_threads(1);
 }
 
-/// Tells glibc to keep freed memory instead of returning it to the system.
+/// Makes glibc keep freed memory instead of returning it to the system.
 ///
-/// A training step frees some megabytes of observations and gradients; by default each such block is unmapped, and the
-/// next step pays for new pages.
+/// A training step frees some megabytes of observations and gradients; by default, each block is unmapped, and the next
+/// step faults in new pages.
 fn keep_freed_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     #[allow(unsafe_code)]

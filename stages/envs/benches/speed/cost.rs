@@ -7,7 +7,7 @@ use dril_envs::car_racing::car::Controls;
 use dril_envs::car_racing::render::{Output, Renderer};
 use dril_envs::car_racing::simulation::{Rules, Simulation};
 use dril_envs::lunar_lander::{LunarLander, simulation::Simulation as Flight};
-use dril_envs::preprocess::{self, FULL, SIDE};
+use dril_envs::wrappers::preprocess::{self, FULL, SIDE};
 use dril_envs::{CarRacingVersion, EnvConfig, EnvError, FrameStack, VecEnv};
 
 use super::{WHOLE, cpu_seconds};
@@ -55,7 +55,7 @@ fn driven(seed: u64, steps: u64) -> Result<Simulation, EnvError> {
 /// Every part by itself.
 pub fn parts(seconds: f64) -> Result<(), EnvError> {
     car(seconds)?;
-    pictures(seconds)?;
+    images(seconds)?;
     lander(seconds);
     resets(seconds)?;
     for threads in [1, 2, 4] {
@@ -83,7 +83,7 @@ fn car(seconds: f64) -> Result<(), EnvError> {
     Ok(())
 }
 
-fn pictures(seconds: f64) -> Result<(), EnvError> {
+fn images(seconds: f64) -> Result<(), EnvError> {
     // Several places of the road, so that no single one decides.
     let places = (0..8).map(|seed| driven(seed, 60 + 40 * seed)).collect::<Result<Vec<_>, _>>()?;
     let mut full = [0; FULL * FULL];

@@ -10,7 +10,7 @@ mod cost;
 
 use std::io::{BufRead, Write};
 
-use dril_envs::preprocess::SIDE;
+use dril_envs::wrappers::preprocess::SIDE;
 use dril_envs::{EnvConfig, EnvError, Frame, FrameStack};
 
 /// What is measured whole: CarRacing with its observation of 84 x 84 x 4.

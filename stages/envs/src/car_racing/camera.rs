@@ -1,9 +1,9 @@
-//! The camera: from the world to the original's window of 1000 x 800 and on to the picture.
+//! The camera: from the world to the original's window of 1000 x 800 and on to the image.
 
 use dril_stage_api::math;
 
 use super::scene::Scene;
-use crate::raster::Dot;
+use crate::drawing::surface::Point;
 
 /// The original's window, in its pixels; its y runs up.
 pub const WINDOW: [f64; 2] = [1000.0, 800.0];
@@ -14,10 +14,10 @@ const ZOOM: [f64; 2] = [0.1 * 6.0, 2.7 * 6.0];
 /// Below this speed the view of the original follows the hull, units per second.
 const STANDING: f64 = 0.5;
 
-/// An affine map from world to picture.
+/// An affine map from world to image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
-    /// World units to picture pixels.
+    /// World units to image pixels.
     matrix: [[f64; 2]; 2],
     origin: [f64; 2],
     car: [f64; 2],
@@ -58,8 +58,8 @@ impl Camera {
         }
     }
 
-    /// The picture's point for a point of the world.
-    pub fn dot(&self, [x, y]: [f64; 2]) -> Dot {
+    /// The image's point for a point of the world.
+    pub fn dot(&self, [x, y]: [f64; 2]) -> Point {
         let [dx, dy] = [x - self.car[0], y - self.car[1]];
         let along = |axis: usize| self.matrix[axis][0] * dx + self.matrix[axis][1] * dy + self.origin[axis];
         [along(0), along(1)]

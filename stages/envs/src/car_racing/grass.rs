@@ -3,7 +3,7 @@
 use super::paint::Painter;
 use super::palette;
 use super::track::PLAYFIELD;
-use crate::surface::Surface;
+use crate::drawing::surface::Surface;
 
 /// Squares of the pattern along half the playfield; every other one in both directions is lighter.
 const HALF_SQUARES: i32 = 20;

@@ -6,7 +6,7 @@ use super::camera::WINDOW;
 use super::palette::{self, Colour, Inks};
 use super::scene::Scene;
 use crate::CarRacingVersion;
-use crate::surface::Surface;
+use crate::drawing::surface::Surface;
 
 /// Window pixels of a gauge's unit: across and up.
 const UNIT: [f64; 2] = [WINDOW[0] / 40.0, WINDOW[1] / 40.0];

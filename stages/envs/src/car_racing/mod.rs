@@ -6,6 +6,8 @@
 
 pub mod camera;
 pub mod car;
+mod config;
+pub mod drive;
 pub mod driver;
 mod grass;
 mod indicators;
@@ -26,18 +28,18 @@ pub mod world;
 use dril_stage_api::Seed;
 use rand::Rng;
 
-use crate::played::{Game, Played};
-use crate::preprocess::{self, FULL, SIDE};
+use crate::episode::{EpisodeRunner, Game, Simulate};
+use crate::settings::several;
+use crate::wrappers::preprocess::{self, FULL, SIDE};
 use crate::{
-    ActionSpace, CarRacingConfig, Env, EnvError, EnvSnapshot, Frame, MapLine, ObservationSpace, Picture, Step,
+    ActionSpace, Env, EnvError, EnvSettings, Frame, MapLine, ObservationSpace, Pose, RgbImage, Step,
 };
 use car::Controls;
+pub use config::{CarRacingConfig, CarRacingVersion};
 use render::{Output, Renderer};
 use simulation::{Rules, Simulation};
 use track::{DRAWS, Track};
 
-/// Values of an action: steering, and throttle or brake.
-const DIMS: usize = 2;
 /// Attempts after which the track draws cannot be uniform: one in ten fails.
 const MOST_ATTEMPTS: usize = 1000;
 
@@ -48,16 +50,10 @@ pub struct CarRacing {
     config: CarRacingConfig,
     renderer: Renderer,
     frame: Box<[u8; SIDE * SIDE]>,
-    episode: Option<Played<Simulation>>,
+    episode: Option<EpisodeRunner<Simulation>>,
 }
 
 impl CarRacing {
-    /// What it shows and takes.
-    pub const SPACES: (ObservationSpace, ActionSpace) = (
-        ObservationSpace::Image { height: SIDE, width: SIDE, stack: 4 },
-        ActionSpace::Continuous { dims: DIMS },
-    );
-
     /// An environment before its first episode.
     pub fn new(config: CarRacingConfig) -> Self {
         let renderer = Renderer::new(config.version, Output::Grey, [FULL; 2]);
@@ -91,32 +87,13 @@ impl CarRacing {
 
     /// The running episode.
     pub fn simulation(&self) -> Option<&Simulation> {
-        self.episode.as_ref().map(|episode| &episode.game)
-    }
-
-    fn start(&mut self, seed: u64) -> Result<(), EnvError> {
-        let (track, _) = Self::track(seed)?;
-        let limit = self.config.time_limit as usize;
-        let rules = Rules { lap_share: self.config.lap_share(), time_limit: limit };
-        let before = self.episode.take();
-        let game = Simulation::new(track, rules);
-        self.episode = Some(Played::begin(seed, game, limit.saturating_mul(DIMS), before));
-        Ok(())
-    }
-
-    fn draw(&mut self) {
-        if let Some(episode) = &self.episode {
-            self.renderer.draw(episode.game.track(), &episode.game.scene());
-            if let Ok(full) = self.renderer.pixels().try_into() {
-                preprocess::shrink(full, &mut self.frame);
-            }
-        }
+        self.episode.as_ref().map(|episode| &episode.simulation)
     }
 }
 
-impl Game<DIMS> for Simulation {
-    fn play(&mut self, action: [f32; DIMS]) -> Step {
-        let [steer, pedal] = action.map(f64::from);
+impl Simulate for Simulation {
+    fn advance(&mut self, action: &[f32]) -> Step {
+        let [steer, pedal] = [0, 1].map(|value| f64::from(action[value]));
         self.step(&Controls { steer, gas: pedal.max(0.0), brake: (-pedal).max(0.0) })
     }
 }
@@ -126,71 +103,87 @@ fn unit_interval(bits: u64) -> f64 {
     (bits >> 11) as f64 / (1u64 << 53) as f64
 }
 
-impl Env for CarRacing {
-    fn observation_space(&self) -> ObservationSpace {
-        Self::SPACES.0
+impl Game for CarRacing {
+    type Simulation = Simulation;
+    const SPACES: (ObservationSpace, ActionSpace) = (
+        ObservationSpace::Image { height: SIDE, width: SIDE, stack: 4 },
+        ActionSpace::Continuous { dims: 2 },
+    );
+
+    fn simulate(&self, seed: u64) -> Result<Simulation, EnvError> {
+        let (track, _) = Self::track(seed)?;
+        let rules = Rules { lap_share: self.config.lap_share(), time_limit: self.time_limit() };
+        Ok(Simulation::new(track, rules))
     }
 
-    fn action_space(&self) -> ActionSpace {
-        Self::SPACES.1
+    fn time_limit(&self) -> usize {
+        self.config.time_limit as usize
     }
 
-    fn reset(&mut self, seed: u64) -> Result<(), EnvError> {
-        self.start(seed)?;
-        self.draw();
-        Ok(())
+    fn episode(&self) -> Option<&EpisodeRunner<Simulation>> {
+        self.episode.as_ref()
     }
 
-    fn step(&mut self, action: &[f32]) -> Result<Step, EnvError> {
-        let step = self.episode.as_mut().ok_or(EnvError::NotStarted)?.step(action)?;
-        self.draw();
-        Ok(step)
+    fn episode_mut(&mut self) -> &mut Option<EpisodeRunner<Simulation>> {
+        &mut self.episode
     }
 
-    fn frame(&self) -> Frame<'_> {
+    fn observe(&mut self) {
+        let Some(episode) = &self.episode else { return self.frame.fill(0) };
+        self.renderer.draw(episode.simulation.track(), &episode.simulation.scene());
+        if let Ok(full) = self.renderer.pixels().try_into() {
+            preprocess::shrink(full, &mut self.frame);
+        }
+    }
+
+    fn observation(&self) -> Frame<'_> {
         Frame::Image(self.frame.as_slice())
     }
 
-    fn snapshot(&self) -> EnvSnapshot {
-        Played::snapshot(self.episode.as_ref())
+    fn draw(&self, simulation: &Simulation, width: usize, height: usize) -> RgbImage {
+        let mut renderer = Renderer::averaged(self.config.version, Output::Rgb, [width, height]);
+        renderer.draw(simulation.track(), &simulation.scene());
+        RgbImage { width, height, rgb: renderer.pixels().to_vec() }
     }
 
-    fn restore(&mut self, snapshot: &EnvSnapshot) -> Result<(), EnvError> {
-        let Some(seed) = snapshot.seed else {
-            self.episode = None;
-            self.frame.fill(0);
-            return Ok(());
-        };
-        self.start(seed)?;
-        if let Some(episode) = self.episode.as_mut() {
-            snapshot.replay(DIMS, |action| episode.step(action))?;
-        }
-        self.draw();
-        Ok(())
+    fn pose_in(&self, simulation: &Simulation) -> Option<Pose> {
+        let hull = simulation.car().hull();
+        Some(Pose::new(hull.position, simulation.car().world().hull_angle(), hull.velocity))
     }
 
-    fn render(&mut self, width: usize, height: usize) -> Result<Picture, EnvError> {
-        let episode = self.episode.as_ref().ok_or(EnvError::NotStarted)?;
-        Picture::check_size(width, height)?;
-        let size = [width, height];
-        let mut renderer = Renderer::averaged(self.config.version, Output::Rgb, size);
-        renderer.draw(episode.game.track(), &episode.game.scene());
-        Ok(Picture { width, height, rgb: renderer.pixels().to_vec() })
-    }
-
-    fn pose(&self) -> Option<crate::Pose> {
-        let car = self.simulation()?.car();
-        let hull = car.hull();
-        Some(crate::Pose::new(hull.position, car.world().hull_angle(), hull.velocity))
-    }
-
-    fn map(&self) -> Vec<MapLine> {
-        let Some(simulation) = self.simulation() else { return Vec::new() };
-        let side = |name, corner: usize| {
-            let tiles = &simulation.track().tiles;
-            MapLine { name, points: tiles.iter().chain(tiles.first()).map(|tile| tile[corner]).collect() }
+    fn map_of(&self, simulation: &Simulation) -> Vec<MapLine> {
+        let tiles = &simulation.track().tiles;
+        let side = |name, corner: usize| MapLine {
+            name,
+            points: tiles.iter().chain(tiles.first()).map(|tile| tile[corner]).collect(),
         };
         vec![side("left", 0), side("right", 1)]
+    }
+}
+
+impl EnvSettings for CarRacingConfig {
+    fn check(&self) -> Vec<(String, String)> {
+        CarRacingConfig::check(self)
+    }
+
+    fn build(&self, count: usize, _workers: usize) -> Result<Vec<Box<dyn Env>>, EnvError> {
+        Ok(several(count, || CarRacing::new(self.clone())))
+    }
+
+    fn known_spaces(&self) -> Option<(ObservationSpace, ActionSpace)> {
+        Some(CarRacing::SPACES)
+    }
+
+    fn action_labels(&self) -> &'static [&'static str] {
+        &["steer", "brake | gas"]
+    }
+
+    fn steps_per_second(&self) -> f64 {
+        50.0
+    }
+
+    fn aspect_ratio(&self) -> f64 {
+        1.25
     }
 }
 

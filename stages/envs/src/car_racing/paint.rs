@@ -9,7 +9,7 @@ use super::shape::{HULL, MOST_CORNERS, WHEEL_HALF};
 use super::track::{Kerb, Track};
 use super::tyre::SIZE;
 use super::world::Motion;
-use crate::surface::Surface;
+use crate::drawing::surface::Surface;
 
 /// Farthest that tile and kerb reach from the tile's way point, world units.
 const TILE_REACH: f64 = 10.0;

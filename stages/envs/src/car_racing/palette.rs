@@ -1,4 +1,4 @@
-//! The colours of the picture, as one byte each, and what they become: grey levels or RGB.
+//! The colours of the image, as one byte each, and what they become: grey levels or RGB.
 
 use crate::CarRacingVersion;
 
@@ -63,12 +63,12 @@ const NAMED: [Rgb; COUNT] = [
     [255, 0, 0],
 ];
 
-/// What is written into a picture for each colour.
+/// What is written into an image for each colour.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Inks(pub [u8; COUNT]);
 
 impl Inks {
-    /// The colours themselves, for a picture to be looked up later.
+    /// The colours themselves, for an image to be looked up later.
     pub fn indices() -> Self {
         Self(std::array::from_fn(|colour| colour as u8))
     }

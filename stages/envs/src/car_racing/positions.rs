@@ -1,4 +1,4 @@
-//! How velocities become positions, as in the original's engine.
+//! Integration of positions from velocities, as in Box2D.
 //!
 //! The engine here solves the velocities of bodies and joints well, but turns bodies by a first-order step, which loses
 //! a thousandth of every turn, limits speeds elsewhere and pulls joints together differently. The original moves each
@@ -15,8 +15,8 @@ use super::tyre::{DT, SIZE};
 const SWEEPS: usize = 60;
 /// Gap that is left as it is, world units.
 const SLOP: f32 = 0.005;
-/// Longest way of a body in one step, world units.
-const LONGEST_WAY: f32 = 2.0;
+/// Maximum distance that a body moves in one step, world units.
+const MAX_TRANSLATION: f32 = 2.0;
 /// Steering stops at this angle, radians.
 pub const STEER_LIMIT: f32 = 0.4;
 /// A joint may overshoot its stop by this much before it is turned back: two degrees.
@@ -158,8 +158,8 @@ pub fn stop(angle: f32) -> f32 {
 fn move_body(pose: &mut Pose, velocity: &mut Velocity) {
     let way = velocity.linear.map(|v| v * DT as f32);
     let length = (way[0] * way[0] + way[1] * way[1]).sqrt();
-    if length > LONGEST_WAY {
-        velocity.linear = velocity.linear.map(|v| v * (LONGEST_WAY / length));
+    if length > MAX_TRANSLATION {
+        velocity.linear = velocity.linear.map(|v| v * (MAX_TRANSLATION / length));
     }
     pose.x += DT as f32 * velocity.linear[0];
     pose.y += DT as f32 * velocity.linear[1];
@@ -194,7 +194,7 @@ mod tests {
         let mut poses = created(0.0, 0.0, 0.0);
         let mut velocities = [Velocity { linear: [0.0, 300.0], spin: 0.0 }; BODIES];
         Positions::default().advance(&mut poses, &mut velocities);
-        assert!((poses[0].y - LONGEST_WAY).abs() < 1e-5, "{:?}", poses[0]);
+        assert!((poses[0].y - MAX_TRANSLATION).abs() < 1e-5, "{:?}", poses[0]);
         assert!(velocities.iter().all(|v| (v.linear[1] - 100.0).abs() < 1e-4), "{velocities:?}");
     }
 }

@@ -11,11 +11,11 @@ use super::scene::Scene;
 use super::text::Text;
 use super::track::Track;
 use crate::CarRacingVersion;
-use crate::coverage::AreaCanvas;
-use crate::raster::Canvas;
-use crate::surface::Surface;
+use crate::drawing::canvas::Canvas;
+use crate::drawing::coverage::AreaCanvas;
+use crate::drawing::surface::Surface;
 
-/// Lines of the bar in eighths of the picture.
+/// Lines of the bar in eighths of the image.
 const BAR: usize = 8;
 /// The later version fills polygons up to and with the pixels on their edge: half a window pixel more on each side.
 const GROWTH: f64 = 0.5;
@@ -31,7 +31,7 @@ pub enum Output {
     Rgb,
 }
 
-/// A picture and how to draw it. Nothing is allocated once the first pictures are drawn.
+/// An image and how to draw it. Nothing is allocated once the first images are drawn.
 #[derive(Clone, Debug)]
 pub struct Renderer {
     version: CarRacingVersion,
@@ -41,20 +41,20 @@ pub struct Renderer {
     colours: [Rgb; palette::COUNT],
     text: Text,
     /// Where the channels are put side by side; empty for grey.
-    picture: Vec<u8>,
+    image: Vec<u8>,
 }
 
 /// What a pixel shows.
 #[derive(Clone, Debug)]
 enum Pixels {
-    /// Its centre. Grey pictures are painted as such.
+    /// Its centre. Grey images are painted as such.
     Sampled(Canvas),
     /// The mean of its area.
     Averaged(AreaCanvas),
 }
 
 impl Renderer {
-    /// Pictures as the original observes them, `width` x `height`.
+    /// Images as the original observes them, `width` x `height`.
     pub fn new(version: CarRacingVersion, output: Output, size: [usize; 2]) -> Self {
         match version {
             CarRacingVersion::V0 => {
@@ -65,7 +65,7 @@ impl Renderer {
         }
     }
 
-    /// Pictures whose pixels are averages, `width` x `height`.
+    /// Images whose pixels are averages, `width` x `height`.
     pub fn averaged(version: CarRacingVersion, output: Output, size: [usize; 2]) -> Self {
         let growth = if version == CarRacingVersion::V3 { GROWTH * size[0] as f64 / WINDOW[0] } else { 0.0 };
         let loss = if version == CarRacingVersion::V3 { SHRINK_LOSS } else { 0 };
@@ -98,16 +98,16 @@ impl Renderer {
             inks: if directly { Inks(colours.map(palette::grey)) } else { Inks::indices() },
             colours,
             text,
-            picture: vec![0; if output == Output::Rgb { width * height * 3 } else { 0 }],
+            image: vec![0; if output == Output::Rgb { width * height * 3 } else { 0 }],
         }
     }
 
-    /// The last picture drawn, row-major, row 0 on top.
+    /// The last image drawn, row-major, row 0 on top.
     pub fn pixels(&self) -> &[u8] {
         match (&self.pixels, self.output) {
             (Pixels::Sampled(canvas), Output::Grey) => canvas.pixels(),
             (Pixels::Averaged(canvas), Output::Grey) => canvas.channel(0),
-            (_, Output::Rgb) => &self.picture,
+            (_, Output::Rgb) => &self.image,
         }
     }
 
@@ -124,12 +124,12 @@ impl Renderer {
             }
             (Pixels::Sampled(canvas), Output::Rgb) => {
                 let colours = canvas.pixels().iter().map(|ink| self.colours[usize::from(*ink)]);
-                self.picture.as_chunks_mut().0.iter_mut().zip(colours).for_each(|(pixel, rgb)| *pixel = rgb);
-                self.text.draw::<3>(&mut self.picture, scene.score);
+                self.image.as_chunks_mut().0.iter_mut().zip(colours).for_each(|(pixel, rgb)| *pixel = rgb);
+                self.text.draw::<3>(&mut self.image, scene.score);
             }
             (Pixels::Averaged(canvas), Output::Rgb) => {
-                canvas.interleave(&mut self.picture);
-                self.text.draw::<3>(&mut self.picture, scene.score);
+                canvas.interleave(&mut self.image);
+                self.text.draw::<3>(&mut self.image, scene.score);
             }
         }
     }

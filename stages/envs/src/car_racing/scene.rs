@@ -1,4 +1,4 @@
-//! What there is to draw: all that a picture depends on, whether it comes from a running episode or from a recording.
+//! What there is to draw: all that an image depends on, whether it comes from a running episode or from a recording.
 
 use super::world::Motion;
 

@@ -1,7 +1,7 @@
 //! The car's parts: outlines, masses and where the wheels sit.
 
 use super::tyre::SIZE;
-use crate::mass::{Mass, polygon_mass};
+use crate::physics::mass::{Mass, polygon_mass};
 
 /// The hull's four convex parts, in units of [`SIZE`], x to the right, y forward.
 pub const HULL: [&[[f64; 2]]; 4] = [

@@ -1,4 +1,4 @@
-//! The game without its picture: car, tiles, reward and end of an episode.
+//! The game without its image: car, tiles, reward and end of an episode.
 
 use super::car::{Car, Controls};
 use super::positions;

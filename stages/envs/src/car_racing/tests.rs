@@ -1,9 +1,9 @@
-//! The game's rules: rewards, ends, faults, snapshots and own tracks.
+//! The game's rules: rewards, ends of episodes and own tracks.
 
 use super::*;
 use crate::car_racing::driver::drive;
-use crate::{CarRacingVersion, EnvConfig, Outcome};
-use proptest::prelude::*;
+use crate::conformance::conformance_tests;
+use crate::{CarRacingVersion, Outcome};
 use track::PLAYFIELD;
 
 const ALL_TILES: Rules = Rules { lap_share: 1.0, time_limit: 1000 };
@@ -15,6 +15,8 @@ fn simulation(seed: u64, rules: Rules) -> Simulation {
 fn env(time_limit: u32) -> CarRacing {
     CarRacing::new(CarRacingConfig { time_limit, ..CarRacingConfig::default() })
 }
+
+conformance_tests!(env);
 
 #[test]
 fn the_reset_visits_two_tiles_which_the_first_step_pays() {
@@ -61,15 +63,6 @@ fn leaving_the_playfield_pays_minus_100_instead_of_the_step() {
 }
 
 #[test]
-fn the_time_limit_ends_an_episode_without_a_terminal_state() {
-    let mut env = env(3);
-    env.reset(1).unwrap();
-    let outcomes: Vec<_> = (0..3).map(|_| env.step(&[0.0, 0.0]).unwrap().outcome).collect();
-    assert_eq!(outcomes, [Outcome::Running, Outcome::Running, Outcome::TimeLimit]);
-    assert!(Outcome::TimeLimit.ended() && !Outcome::TimeLimit.terminal());
-}
-
-#[test]
 fn a_lap_needs_all_tiles_or_the_given_share_and_the_start_line() {
     let lap = |lap_share| {
         let mut simulation = simulation(5, Rules { lap_share, time_limit: 3000 });
@@ -90,67 +83,7 @@ fn a_lap_needs_all_tiles_or_the_given_share_and_the_start_line() {
 }
 
 #[test]
-fn nan_is_refused_with_the_dimension_and_other_numbers_are_clamped() {
-    let mut env = env(10);
-    assert_eq!(env.step(&[0.0, 0.0]), Err(EnvError::NotStarted));
-    env.reset(0).unwrap();
-    assert_eq!(env.step(&[0.0, f32::NAN]), Err(EnvError::ActionNan { dimension: 1 }));
-    assert_eq!(env.step(&[0.0]), Err(EnvError::ActionLength { seen: 1, expected: 2 }));
-    assert_eq!(env.simulation().unwrap().steps(), 0);
-    env.step(&[f32::INFINITY, -7.0]).unwrap();
-    assert_eq!(env.snapshot().actions, [1.0, -1.0]);
-}
-
-#[test]
-fn stepping_after_the_end_is_an_error() {
-    let mut env = env(1);
-    env.reset(0).unwrap();
-    env.step(&[0.0, 0.0]).unwrap();
-    assert_eq!(env.step(&[0.0, 0.0]), Err(EnvError::Over { length: 1 }));
-    env.reset(0).unwrap();
-    assert!(env.step(&[0.0, 0.0]).is_ok());
-}
-
-#[test]
-fn one_seed_gives_one_episode_and_another_seed_another() {
-    let frames = |seed| {
-        let mut env = env(10);
-        // What came before does not matter.
-        env.reset(seed ^ 5).unwrap();
-        env.step(&[1.0, 1.0]).unwrap();
-        env.reset(seed).unwrap();
-        env.step(&[0.5, 1.0]).unwrap();
-        env.frame().to_owned()
-    };
-    assert_eq!(frames(8), frames(8));
-    assert_ne!(frames(8), frames(9));
-}
-
-proptest! {
-    #![proptest_config(ProptestConfig::with_cases(6))]
-    #[test]
-    fn a_restored_episode_goes_on_bit_by_bit(
-        seed: u64,
-        before in prop::collection::vec(prop::array::uniform2(-1.5f32..1.5), 0..30),
-        after in prop::collection::vec(prop::array::uniform2(-1.0f32..1.0), 1..10),
-    ) {
-        let mut one = env(1000);
-        one.reset(seed).unwrap();
-        for action in &before {
-            one.step(action).unwrap();
-        }
-        let mut other = env(1000);
-        other.restore(&one.snapshot()).unwrap();
-        prop_assert_eq!(one.frame(), other.frame());
-        for action in &after {
-            prop_assert_eq!(one.step(action).unwrap(), other.step(action).unwrap());
-            prop_assert_eq!(one.frame(), other.frame());
-        }
-    }
-}
-
-#[test]
-fn an_episode_restored_while_a_stop_holds_the_steering_goes_on_bit_by_bit() {
+fn an_episode_restored_while_a_stop_holds_the_steering_continues_bit_identically() {
     let held = |env: &CarRacing| env.simulation().unwrap().car().world().stops()[0].hold();
     let mut one = env(1000);
     one.reset(11).unwrap();
@@ -172,31 +105,6 @@ fn an_episode_restored_while_a_stop_holds_the_steering_goes_on_bit_by_bit() {
         holding.push(held(&one) > 0.0);
     }
     assert!(holding[2] && !holding[39], "{holding:?}");
-}
-
-#[test]
-fn a_snapshot_that_cannot_be_is_refused() {
-    let mut env = env(2);
-    let snapshot = EnvSnapshot { seed: Some(0), actions: vec![0.0; 6] };
-    let error = env.restore(&snapshot).unwrap_err().to_string();
-    assert!(error.contains("3 actions, but the episode ends after 2"), "{error}");
-    let error = env.restore(&EnvSnapshot { seed: Some(0), actions: vec![0.0; 3] }).unwrap_err().to_string();
-    assert!(error.contains("1 values, expected 2"), "{error}");
-    let error = env.restore(&EnvSnapshot { seed: Some(0), actions: vec![f32::NAN, 0.0] }).unwrap_err();
-    assert!(error.to_string().contains("NaN"), "{error}");
-    env.restore(&EnvSnapshot::default()).unwrap();
-    assert_eq!(env.step(&[0.0, 0.0]), Err(EnvError::NotStarted));
-}
-
-#[test]
-fn pictures_have_the_size_asked_for_or_are_refused() {
-    let mut env = EnvConfig::default().build().unwrap();
-    assert_eq!(env.render(10, 10).unwrap_err(), EnvError::NotStarted);
-    env.reset(0).unwrap();
-    let picture = env.render(40, 30).unwrap();
-    assert_eq!((picture.width, picture.height, picture.rgb.len()), (40, 30, 40 * 30 * 3));
-    assert!(picture.to_png().unwrap().starts_with(b"\x89PNG"));
-    assert!(env.render(0, 10).is_err() && env.render(10, 100_000).is_err());
 }
 
 #[test]

@@ -112,10 +112,10 @@ const STROKES: [&[Stroke]; GLYPHS] = [
     &[&[[2.2, 5.4], [7.8, 5.4]]],
 ];
 
-/// The characters as they fall on the pixels of one picture size.
+/// The characters as they fall on the pixels of one image size.
 #[derive(Clone, Debug)]
 pub struct Text {
-    /// Columns of the picture.
+    /// Columns of the image.
     width: usize,
     /// What becomes of a pixel under a glyph.
     cover: fn(u8, u8) -> u8,
@@ -131,13 +131,13 @@ struct Slot {
 }
 
 impl Text {
-    /// The characters for pictures of `width` x `height`, sampled in the pixels' centres.
+    /// The characters for images of `width` x `height`, sampled in the pixels' centres.
     pub fn sampled(version: CarRacingVersion, [width, height]: [usize; 2]) -> Self {
         // What is seen in a sample is the text or what it stands on.
         Self::new(version, [width, height], 1, |_, text| text)
     }
 
-    /// The characters for pictures whose pixels are means, of which every level has lost `loss`.
+    /// The characters for images whose pixels are means, of which every level has lost `loss`.
     pub fn averaged(version: CarRacingVersion, [width, height]: [usize; 2], loss: u8) -> Self {
         let mut text = Self::new(version, [width, height], SAMPLES, u8::max);
         for levels in text.slots.iter_mut().flat_map(|slot| &mut slot.levels) {
@@ -182,7 +182,7 @@ impl Text {
         Self { width, cover, slots: std::array::from_fn(slot), rows }
     }
 
-    /// Draws the score's whole part over a picture with `N` channels.
+    /// Draws the score's whole part over an image with `N` channels.
     pub fn draw<const N: usize>(&self, pixels: &mut [u8], score: f64) {
         let rows = self.rows.clone();
         for (slot, glyph) in self.slots.iter().zip(characters(score)) {
@@ -250,14 +250,14 @@ mod tests {
 
     #[test]
     fn digits_look_different_in_the_observation() {
-        let picture = |score: f64| {
+        let image = |score: f64| {
             let mut pixels = vec![0; 96 * 96];
             Text::sampled(CarRacingVersion::V0, [96; 2]).draw::<1>(&mut pixels, score);
             pixels
         };
-        let pictures: Vec<_> = (0..10).map(|digit| picture(f64::from(digit))).collect();
-        for (i, one) in pictures.iter().enumerate() {
-            assert!(pictures[..i].iter().all(|other| other != one), "{i}");
+        let images: Vec<_> = (0..10).map(|digit| image(f64::from(digit))).collect();
+        for (i, one) in images.iter().enumerate() {
+            assert!(images[..i].iter().all(|other| other != one), "{i}");
         }
     }
 }

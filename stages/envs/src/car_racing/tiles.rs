@@ -6,7 +6,7 @@ use super::shape::{HULL, MOST_CORNERS, WHEEL_HALF};
 use super::track::Track;
 use super::tyre::SIZE;
 use super::world::Motion;
-use crate::convex::{self, Point32};
+use crate::physics::convex::{self, Point32};
 
 /// Farthest part of the car from the hull's origin, world units, and some room for skins.
 const CAR_REACH: f32 = 3.0;

@@ -13,7 +13,7 @@ use super::positions::{self, BODIES, Pose, Positions, Velocity, anchor, rotate};
 use super::shape;
 use super::steering_stop::{MOTOR_TORQUE, SteeringStop};
 use super::tyre::DT;
-use crate::mass::Mass;
+use crate::physics::mass::Mass;
 
 /// Gain of the engine's motor; large means that the motor's speed is met, as in the original.
 const MOTOR_GAIN: f32 = 1e6;

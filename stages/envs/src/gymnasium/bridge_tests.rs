@@ -40,8 +40,8 @@ fn choices_are_whole_numbers_that_there_are() {
 }
 
 #[test]
-fn pictures_of_any_size_become_the_thesis_s_view() {
-    let mut env = env("picture");
+fn images_of_any_size_become_the_thesis_s_view() {
+    let mut env = env("image");
     env.reset(3).unwrap();
     env.step(&[0.0]).unwrap();
     env.step(&[0.0]).unwrap();
@@ -96,15 +96,15 @@ fn a_step_that_was_begun_and_given_up_disturbs_nothing() {
 }
 
 #[test]
-fn looking_changes_nothing_and_scales_the_picture() {
+fn looking_changes_nothing_and_scales_the_image() {
     let (mut watched, mut unseen) = (env("counter"), env("counter"));
     for env in [&mut watched, &mut unseen] {
         env.reset(31).unwrap();
         env.step(&[0.5]).unwrap();
     }
-    let picture = watched.render(4, 6).unwrap();
-    assert_eq!((picture.width, picture.height), (4, 6));
-    assert_eq!(picture.rgb, [200, 100, 1].repeat(24));
+    let image = watched.render(4, 6).unwrap();
+    assert_eq!((image.width, image.height), (4, 6));
+    assert_eq!(image.rgb, [200, 100, 1].repeat(24));
     assert_eq!(watched.step(&[0.5]), unseen.step(&[0.5]));
-    assert!(matches!(watched.render(0, 6), Err(EnvError::Picture(_))));
+    assert!(matches!(watched.render(0, 6), Err(EnvError::Render(_))));
 }

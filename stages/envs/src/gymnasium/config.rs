@@ -11,50 +11,50 @@ use serde_json::Value;
 
 use super::venv::REQUIREMENTS;
 
-/// The bridge's own part in what is seen and done; raised when `worker.py` or the preprocessing changes a result.
+/// The bridge's revision; raised when `worker.py` or the preprocessing changes a result.
 const BRIDGE: u32 = 1;
-/// The packages whose versions can change a result. The others only help them.
+/// The packages whose versions can change a result.
 const PLAYING: [&str; 5] = ["ale-py", "box2d", "gymnasium", "numpy", "pygame-ce"];
-/// Arguments of `gymnasium.make` that have a place of their own, or none.
+/// Arguments of `gymnasium.make` that have their own setting, or none.
 const TAKEN: [(&str, &str); 3] = [
     ("id", "write `id` beside `kwargs`"),
     ("max_episode_steps", "write `time_limit` beside `kwargs`"),
-    ("render_mode", "leave it out: pictures are asked for when somebody looks"),
+    ("render_mode", "leave it out: images are rendered when needed"),
 ];
 
 /// Settings of an environment of Gymnasium or the Arcade Learning Environment. `gymnasium: CarRacing-v3` is short for
 /// `gymnasium: { id: CarRacing-v3 }`.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct GymnasiumConfig {
-    /// The id, as `gymnasium.make` takes it: `CarRacing-v3`, `LunarLanderContinuous-v3`, `ALE/Breakout-v5`.
+    /// The id, as for `gymnasium.make`: `CarRacing-v3`, `LunarLanderContinuous-v3`, `ALE/Breakout-v5`.
     pub id: String,
-    /// Steps after which an episode is cut off. Left out: what Gymnasium has registered for the id; 27,000 for Atari.
+    /// Steps after which an episode is truncated. Default: as registered in Gymnasium; 27,000 for Atari.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(default)]
     pub time_limit: Option<u32>,
-    /// Further arguments of `gymnasium.make`, as `lap_complete_percent` of CarRacing. For Atari, those of
+    /// Further arguments of `gymnasium.make`, such as `lap_complete_percent` of CarRacing. For Atari, those of
     /// `AtariVectorEnv`: `reward_clipping`, `episodic_life`, `noop_max`, ...
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     #[schemars(default)]
     pub kwargs: BTreeMap<String, Value>,
-    /// Which track a seed names in CarRacing.
+    /// Which track a seed gives in CarRacing.
     #[serde(skip_serializing_if = "Tracks::are_gymnasium")]
     #[schemars(default)]
     pub tracks: Tracks,
-    /// What plays: the bridge's revision and the versions of the packages. Filled in, so that results of other versions
-    /// are never taken for these; leave it out.
+    /// The bridge's revision and the versions of the packages. Filled in automatically, so that results of other versions
+    /// are not reused; leave it out.
     #[schemars(default = "versions")]
     pub versions: String,
 }
 
-/// Which track a seed names in Gymnasium's CarRacing.
+/// Which track a seed gives in Gymnasium's CarRacing.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Tracks {
-    /// The one that Gymnasium makes of it.
+    /// The track that Gymnasium generates.
     #[default]
     Gymnasium,
-    /// The one that `car-racing` makes of it: its random draws are handed over.
+    /// The track that `car-racing` generates: its random draws are passed to Gymnasium.
     CarRacing,
 }
 
@@ -64,7 +64,7 @@ impl Tracks {
     }
 }
 
-/// The versions that this program plays with, as one text.
+/// The versions of this program's bridge and packages, as one string.
 pub fn versions() -> String {
     let packages = playing().map(|(name, version)| format!(", {name} {version}"));
     format!("bridge {BRIDGE}{}", packages.collect::<String>())
@@ -77,7 +77,7 @@ pub(super) fn playing() -> impl Iterator<Item = (&'static str, &'static str)> {
 }
 
 impl GymnasiumConfig {
-    /// The environment of that id, with Gymnasium's own settings.
+    /// The environment with this id and Gymnasium's default settings.
     pub fn new(id: &str) -> Self {
         Self {
             id: id.to_owned(),
@@ -88,61 +88,33 @@ impl GymnasiumConfig {
         }
     }
 
-    /// Every field that cannot be right whatever Gymnasium says: its dotted path, and what was seen and expected.
+    /// Every field that is invalid independent of Gymnasium: its name, and what was seen and expected.
     pub(crate) fn check(&self) -> Vec<(String, String)> {
         let mut found = Vec::new();
-        let mut add = |field: &str, message: String| found.push((format!("gymnasium.{field}"), message));
+        let mut add = |field: &str, message: String| found.push((field.to_owned(), message));
         let is_id = |c: char| c.is_ascii_alphanumeric() || "-_./:".contains(c);
         if self.id.is_empty() || !self.id.chars().all(is_id) {
-            let message = format!("`{}`, expected an id of Gymnasium, as `CarRacing-v3`", self.id);
+            let message = format!("`{}`, expected an id of Gymnasium, such as `CarRacing-v3`", self.id);
             add("id", message);
         }
         if self.time_limit == Some(0) {
             add("time_limit", "0 steps, expected at least 1".into());
         }
-        for (name, mend) in TAKEN.iter().filter(|(name, _)| self.kwargs.contains_key(*name)) {
-            add(&format!("kwargs.{name}"), format!("`{name}` is no setting here: {mend}"));
+        for (name, fix) in TAKEN.iter().filter(|(name, _)| self.kwargs.contains_key(*name)) {
+            add(&format!("kwargs.{name}"), format!("`{name}` is not a setting here: {fix}"));
         }
         if self.tracks == Tracks::CarRacing && !self.is_car() {
             add("tracks", format!("`car-racing`, but only CarRacing has tracks, and this is `{}`", self.id));
         }
         if self.versions != versions() {
-            let message = format!(
-                "`{}`, but this program plays with `{}`; leave the field out",
-                self.versions,
-                versions()
-            );
+            let message =
+                format!("`{}`, but this program uses `{}`; leave the field out", self.versions, versions());
             add("versions", message);
         }
         found
     }
 
-    /// See [`crate::EnvConfig::action_labels`].
-    pub(crate) fn action_labels(&self) -> &'static [&'static str] {
-        match self.id.as_str() {
-            id if id.starts_with("CarRacing-") => &["steer", "brake | gas"],
-            id if id.starts_with("LunarLanderContinuous-") => &["main", "side"],
-            id if id.starts_with("LunarLander-") => &["wait", "left", "main", "right"],
-            id if id.contains("Breakout") => &["noop", "fire", "right", "left"],
-            _ => &[],
-        }
-    }
-
-    /// Gymnasium's own environments run at 50 steps a second; Atari has 60 frames, of which a step takes four.
-    pub(crate) fn steps_per_second(&self) -> f64 {
-        match self.kwargs.get("frameskip").and_then(Value::as_f64) {
-            _ if !self.id.starts_with("ALE/") => 50.0,
-            Some(frames) if frames >= 1.0 => 60.0 / frames,
-            _ => 15.0,
-        }
-    }
-
-    /// Gymnasium's own environments draw 600 x 400; Atari's 160 x 210 pixels are seen on a screen of 4:3.
-    pub(crate) fn picture_ratio(&self) -> f64 {
-        if self.id.starts_with("ALE/") { 4.0 / 3.0 } else { 1.5 }
-    }
-
-    /// True for any version of CarRacing.
+    /// True for every version of CarRacing.
     pub(super) fn is_car(&self) -> bool {
         self.id.starts_with("CarRacing-")
     }
@@ -156,10 +128,10 @@ impl<'de> Deserialize<'de> for GymnasiumConfig {
 
 struct IdOrSettings;
 
-/// The fields as they may be written.
+/// The fields of the long form.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Written {
+struct Fields {
     id: String,
     #[serde(default)]
     time_limit: Option<u32>,
@@ -175,7 +147,7 @@ impl<'de> Visitor<'de> for IdOrSettings {
     type Value = GymnasiumConfig;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("an id of Gymnasium, as `CarRacing-v3`, or a map with `id`")
+        f.write_str("an id of Gymnasium, such as `CarRacing-v3`, or a map with `id`")
     }
 
     fn visit_str<E: serde::de::Error>(self, id: &str) -> Result<GymnasiumConfig, E> {
@@ -183,8 +155,8 @@ impl<'de> Visitor<'de> for IdOrSettings {
     }
 
     fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<GymnasiumConfig, A::Error> {
-        let Written { id, time_limit, kwargs, tracks, versions } =
-            Written::deserialize(MapAccessDeserializer::new(map))?;
+        let Fields { id, time_limit, kwargs, tracks, versions } =
+            Fields::deserialize(MapAccessDeserializer::new(map))?;
         Ok(GymnasiumConfig { id, time_limit, kwargs, tracks, versions })
     }
 }

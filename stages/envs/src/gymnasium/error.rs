@@ -1,18 +1,18 @@
-//! What can go wrong between this program and the Python that plays, and how to mend it.
+//! Errors of the Python bridge, with how to fix them.
 
 use std::path::PathBuf;
 
-/// Why an environment of Gymnasium could not be made or played.
+/// Why a Gymnasium environment could not be created or stepped.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum GymnasiumError {
-    /// Nobody has said where the packages are.
+    /// The folder for the packages was not configured.
     #[error(
-        "nothing says where the Python packages of Gymnasium are kept; set DRIL_PIPE_VENVS to a folder that \
-         may be written to, or DRIL_PIPE_PYTHON to a Python that has them"
+        "there is no folder for the Python packages of Gymnasium; set DRIL_PIPE_VENVS to a writable folder, or \
+         DRIL_PIPE_PYTHON to a Python that has them"
     )]
     NoFolder,
-    /// There is no Python, or one that is too old.
+    /// Python is missing or too old.
     #[error(
         "{seen}, expected Python {expected} or newer; install it, or set DRIL_PIPE_PYTHON to one that has the packages \
              (`pip install {packages}`)"
@@ -20,92 +20,94 @@ pub enum GymnasiumError {
     NoPython {
         /// What was found.
         seen: String,
-        /// The oldest version that the packages take.
+        /// The oldest supported version.
         expected: &'static str,
-        /// What it must have.
+        /// The required packages.
         packages: String,
     },
-    /// The virtual environment could not be made.
-    #[error("cannot make the Python environment for Gymnasium: {message}\nto make it by hand:\n{commands}")]
+    /// The virtual environment could not be created.
+    #[error(
+        "cannot create the Python environment for Gymnasium: {message}\nto create it by hand:\n{commands}"
+    )]
     Install {
-        /// What failed, with the end of what was printed.
+        /// What failed, with the end of the output.
         message: String,
-        /// What to type.
+        /// The commands to run.
         commands: String,
     },
     /// A package is missing, or has another version.
-    #[error("`{program}` has {seen}, expected {expected}; {mend}")]
+    #[error("`{program}` has {seen}, expected {expected}; {fix}")]
     Package {
         /// The Python.
         program: PathBuf,
-        /// What it has.
+        /// What is installed.
         seen: String,
-        /// What is needed.
+        /// What is required.
         expected: String,
-        /// What to do.
-        mend: String,
+        /// How to fix it.
+        fix: String,
     },
     /// The worker could not be started.
     #[error(
         "cannot start `{program}`: {message}; set DRIL_PIPE_PYTHON to a Python that has the packages, or leave it unset \
-             to have one made"
+             to create one"
     )]
     Start {
         /// The Python.
         program: PathBuf,
-        /// The system's answer.
+        /// The operating system's error.
         message: String,
     },
     /// Gymnasium does not know the id.
     #[error("Gymnasium has no environment `{id}`: {message}")]
     Unknown {
-        /// What was asked for.
+        /// The requested id.
         id: String,
-        /// Gymnasium's words.
+        /// Gymnasium's message.
         message: String,
     },
-    /// The environment cannot be made with these settings, or shows or takes what no policy here can use.
-    #[error("`{id}` cannot be played: {message}")]
+    /// The environment cannot be created with these settings, or its spaces are not supported.
+    #[error("`{id}` cannot be used: {message}")]
     Refused {
         /// The environment.
         id: String,
         /// Why.
         message: String,
     },
-    /// The worker ended by itself.
-    #[error("the Python that plays `{id}` ended while {doing} ({status}); its last words:\n{words}")]
+    /// The worker exited.
+    #[error("the Python process of `{id}` exited while {doing} ({status}); its last output:\n{words}")]
     Died {
         /// The environment.
         id: String,
-        /// What it was asked for.
+        /// The operation.
         doing: &'static str,
-        /// How the process ended.
+        /// Exit status.
         status: String,
-        /// The end of what it wrote to its standard error.
+        /// The end of its standard error.
         words: String,
     },
-    /// The worker does not answer.
+    /// The worker does not respond.
     #[error(
-        "the Python that plays `{id}` has not answered for {seconds} s while {doing}, and was killed; run the stage \
-             again, and if it hangs at the same place, the environment itself does"
+        "the Python process of `{id}` did not respond for {seconds} s while {doing}, and was killed; run the stage \
+             again; if it hangs at the same place, the environment itself hangs"
     )]
     Hung {
         /// The environment.
         id: String,
-        /// What it was asked for.
+        /// The operation.
         doing: &'static str,
-        /// How long it was waited for.
+        /// The time limit.
         seconds: u64,
     },
-    /// An answer that makes no sense.
+    /// An invalid response.
     #[error(
-        "the Python that plays `{id}` sent a malformed answer while {doing}: {message}; it was killed. Something in \
+        "the Python process of `{id}` sent an invalid response while {doing}: {message}; it was killed. Something in \
              the environment writes to the worker's streams, or its packages are damaged"
     )]
     Malformed {
         /// The environment.
         id: String,
-        /// What it was asked for.
+        /// The operation.
         doing: &'static str,
         /// What was seen and expected.
         message: String,

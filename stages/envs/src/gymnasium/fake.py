@@ -24,13 +24,13 @@ if kind == "old-packages":
     versions["gymnasium"] = "0.26.3"
 if kind == "no-packages":
     versions["box2d"] = None
-shown = {"image": {"height": 12, "width": 8, "channels": 3}} if kind == "picture" else {"vector": {"len": 2}}
-size = 12 * 8 * 3 if kind == "picture" else 8
+shown = {"image": {"height": 12, "width": 8, "channels": 3}} if kind == "image" else {"vector": {"len": 2}}
+size = 12 * 8 * 3 if kind == "image" else 8
 action = {"discrete": {"actions": 3}} if kind == "choices" else {"continuous": {"dims": 1}}
 answer = {"protocol": 2 if kind == "other-protocol" else 1, "versions": versions}
 answer |= {"observation": shown, "action": action}
-if order["pictures"]:
-    answer["picture"] = [3, 2]
+if order["images"]:
+    answer["image"] = [3, 2]
 if kind == "Nonsense-v0":
     answer["refused"] = {"kind": "unknown", "message": "did you mean `Sense`?"}
 text = json.dumps(answer).encode()
@@ -55,7 +55,7 @@ while head := sys.stdin.buffer.read(16):
     out.write(struct.pack("<IBBxxId", 0x4D595244, operation, outcome, env, reward))
     if operation == ord("P"):
         out.write(bytes([200, 100, state[env][1]] * 6))
-    elif kind == "picture":
+    elif kind == "image":
         out.write(bytes([state[env][1]]) * size)
     else:
         out.write(struct.pack("<ff", *state[env]))

@@ -1,9 +1,8 @@
-//! The bridge: environments of Gymnasium and the Arcade Learning Environment, played by a Python process beside this one.
+//! The bridge to Gymnasium and the Arcade Learning Environment, whose environments run in a Python process.
 //!
-//! One process plays a whole group of environments ([`build`]); each answers for itself, so an episode still follows
-//! from its seed and its actions alone. Pictures get the thesis's preprocessing (grey, 84 x 84); what is a number here
-//! stays one. [`config`] is what stands in the pipeline file, [`venv`] where the packages come from, [`protocol`] what
-//! goes over the pipes, [`worker`] the process.
+//! One process runs a group of environments independently, so that an episode is still determined by its seed and
+//! actions. Images get the thesis's preprocessing (greyscale, 84 x 84); numbers are passed on. [`config`] has the settings
+//! in the pipeline file, [`venv`] the Python packages, [`protocol`] the messages over the pipes, [`worker`] the process.
 
 mod config;
 mod error;
@@ -14,33 +13,70 @@ mod worker;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use crate::area::Area;
+use serde_json::Value;
+
 use crate::car_racing::CarRacing;
-use crate::played::Played;
-use crate::preprocess::{self, FULL, SIDE};
-use crate::{ActionSpace, Env, EnvError, EnvSnapshot, Frame, ObservationSpace, Picture, Step};
-use protocol::{Operation, Shown};
+use crate::drawing::resample::AreaResampler;
+use crate::episode::{EpisodeRunner, Game, check_values};
+use crate::lunar_lander::LunarLander;
+use crate::wrappers::preprocess::{self, FULL, SIDE};
+use crate::{ActionSpace, Env, EnvError, EnvSettings, EnvSnapshot, Frame, ObservationSpace, RgbImage, Step};
+use protocol::{Operation, RawObservation};
 use worker::{Launch, Worker};
 
 pub use config::{GymnasiumConfig, Tracks, versions};
 pub use error::GymnasiumError;
 pub use venv::{PythonHome, keep_python_in, python};
 
-/// Largest side of a picture for people.
-const MOST_PIXELS: usize = 4096;
+impl EnvSettings for GymnasiumConfig {
+    fn check(&self) -> Vec<(String, String)> {
+        GymnasiumConfig::check(self)
+    }
 
-/// `count` environments in up to `workers` processes.
-///
-/// # Errors
-/// There is no Python with the packages, or it cannot play this environment.
-pub(crate) fn build(
-    config: &GymnasiumConfig,
-    count: usize,
-    workers: usize,
-) -> Result<Vec<Box<dyn Env>>, EnvError> {
-    let launch = Launch::new(python()?);
-    let envs = start(&launch, config, count, workers)?;
-    Ok(envs.into_iter().map(|env| Box::new(env) as Box<dyn Env>).collect())
+    fn build(&self, count: usize, workers: usize) -> Result<Vec<Box<dyn Env>>, EnvError> {
+        let envs = start(&Launch::new(python()?), self, count, workers)?;
+        Ok(envs.into_iter().map(|env| Box::new(env) as Box<dyn Env>).collect())
+    }
+
+    fn known_spaces(&self) -> Option<(ObservationSpace, ActionSpace)> {
+        // `continuous` changes the action space.
+        if self.kwargs.contains_key("continuous") {
+            return None;
+        }
+        match self.id.as_str() {
+            "CarRacing-v3" => Some(CarRacing::SPACES),
+            "LunarLanderContinuous-v3" => Some(LunarLander::SPACES),
+            _ => None,
+        }
+    }
+
+    fn spaces(&self) -> Result<(ObservationSpace, ActionSpace), EnvError> {
+        self.known_spaces().map_or_else(|| ask_for_spaces(self), Ok)
+    }
+
+    fn action_labels(&self) -> &'static [&'static str] {
+        match self.id.as_str() {
+            id if id.starts_with("CarRacing-") => &["steer", "brake | gas"],
+            id if id.starts_with("LunarLanderContinuous-") => &["main", "side"],
+            id if id.starts_with("LunarLander-") => &["wait", "left", "main", "right"],
+            id if id.contains("Breakout") => &["noop", "fire", "right", "left"],
+            _ => &[],
+        }
+    }
+
+    fn steps_per_second(&self) -> f64 {
+        // Gymnasium's own environments run at 50 steps a second; Atari has 60 frames, and a step lasts four.
+        match self.kwargs.get("frameskip").and_then(Value::as_f64) {
+            _ if !self.id.starts_with("ALE/") => 50.0,
+            Some(frames) if frames >= 1.0 => 60.0 / frames,
+            _ => 15.0,
+        }
+    }
+
+    fn aspect_ratio(&self) -> f64 {
+        // Gymnasium's own environments render 600 x 400; Atari's 160 x 210 pixels are shown on a 4:3 screen.
+        if self.id.starts_with("ALE/") { 4.0 / 3.0 } else { 1.5 }
+    }
 }
 
 fn start(
@@ -63,14 +99,8 @@ fn start(
     Ok(envs)
 }
 
-/// What an environment shows and takes. For ids that are not known here a worker is started once and asked.
-///
-/// # Errors
-/// As [`build`].
-pub(crate) fn spaces(config: &GymnasiumConfig) -> Result<(ObservationSpace, ActionSpace), EnvError> {
-    if let Some(spaces) = known_spaces(config) {
-        return Ok(spaces);
-    }
+/// The spaces of an environment that is not known here: starts a worker once per configuration, and asks it.
+fn ask_for_spaces(config: &GymnasiumConfig) -> Result<(ObservationSpace, ActionSpace), EnvError> {
     /// By the configuration as JSON.
     static ASKED: Mutex<Option<HashMap<String, (ObservationSpace, ActionSpace)>>> = Mutex::new(None);
     let name = serde_json::to_string(config).unwrap_or_default();
@@ -85,21 +115,7 @@ pub(crate) fn spaces(config: &GymnasiumConfig) -> Result<(ObservationSpace, Acti
     Ok(spaces)
 }
 
-/// The spaces of the ids that are used most; `continuous` changes them.
-fn known_spaces(config: &GymnasiumConfig) -> Option<(ObservationSpace, ActionSpace)> {
-    if config.kwargs.contains_key("continuous") {
-        return None;
-    }
-    match config.id.as_str() {
-        "CarRacing-v3" => Some(CarRacing::SPACES),
-        "LunarLanderContinuous-v3" => {
-            Some((ObservationSpace::Vector { len: 8 }, ActionSpace::Continuous { dims: 2 }))
-        }
-        _ => None,
-    }
-}
-
-/// An environment that a worker plays.
+/// An environment that a worker runs.
 struct GymnasiumEnv {
     launch: Launch,
     config: GymnasiumConfig,
@@ -107,30 +123,30 @@ struct GymnasiumEnv {
     index: usize,
     spaces: (ObservationSpace, ActionSpace),
     view: View,
-    episode: Option<Played<Elsewhere>>,
+    episode: Option<EpisodeRunner<RemoteGame>>,
 }
 
-/// The game that the worker plays, as far as it is known here.
-struct Elsewhere {
-    /// True from [`Env::begin`] to [`Env::step`].
+/// The state of the worker's episode that is known here.
+struct RemoteGame {
+    /// True between [`Env::begin`] and [`Env::step`].
     begun: bool,
 }
 
-/// What policies see of what an environment shows.
+/// Converts raw observations to those of the policy.
 enum View {
-    Image { grey: Vec<u8>, area: Option<Area>, pixels: Box<[u8; SIDE * SIDE]> },
+    Image { grey: Vec<u8>, area: Option<AreaResampler>, pixels: Box<[u8; SIDE * SIDE]> },
     Vector(Vec<f32>),
 }
 
 impl View {
-    fn new(shown: Shown) -> Self {
+    fn new(shown: RawObservation) -> Self {
         match shown {
-            Shown::Image { height, width, .. } => {
+            RawObservation::Image { height, width, .. } => {
                 let is_usual = [height, width] == [FULL; 2];
-                let area = (!is_usual).then(|| Area::new([height, width], [SIDE; 2]));
+                let area = (!is_usual).then(|| AreaResampler::new([height, width], [SIDE; 2]));
                 Self::Image { grey: vec![0; height * width], area, pixels: Box::new([0; SIDE * SIDE]) }
             }
-            Shown::Vector { len } => Self::Vector(vec![0.0; len]),
+            RawObservation::Vector { len } => Self::Vector(vec![0.0; len]),
         }
     }
 
@@ -173,7 +189,7 @@ impl GymnasiumEnv {
         let mut worker = locked(&self.worker);
         worker.ask(operation, self.index, seed, body)?;
         let step = worker.fetch(self.index)?;
-        if operation != Operation::Picture {
+        if operation != Operation::Render {
             self.view.take(worker.seen(self.index));
         }
         Ok(step)
@@ -181,13 +197,7 @@ impl GymnasiumEnv {
 
     /// The action with every value in its range.
     fn checked(&self, action: &[f32]) -> Result<Vec<f32>, EnvError> {
-        let expected = self.spaces.1.action_len();
-        if action.len() != expected {
-            return Err(EnvError::ActionLength { seen: action.len(), expected });
-        }
-        if let Some(dimension) = action.iter().position(|value| value.is_nan()) {
-            return Err(EnvError::ActionNan { dimension });
-        }
+        check_values(action, self.spaces.1.action_len())?;
         match self.spaces.1 {
             ActionSpace::Continuous { .. } => Ok(action.iter().map(|value| value.clamp(-1.0, 1.0)).collect()),
             ActionSpace::Discrete { actions } => {
@@ -200,14 +210,14 @@ impl GymnasiumEnv {
         }
     }
 
-    fn running(&mut self) -> Result<&mut Played<Elsewhere>, EnvError> {
+    fn running(&mut self) -> Result<&mut EpisodeRunner<RemoteGame>, EnvError> {
         let episode = self.episode.as_mut().ok_or(EnvError::NotStarted)?;
         episode.check_running()?;
         Ok(episode)
     }
 
-    /// Moves the episode to a worker of its own that can draw.
-    fn move_to_a_worker_that_draws(&mut self) -> Result<(), EnvError> {
+    /// Moves the episode to its own worker, which can render.
+    fn move_to_a_rendering_worker(&mut self) -> Result<(), EnvError> {
         let snapshot = self.snapshot();
         let worker = Worker::start(&self.launch, &self.config, 1, true)?;
         (self.worker, self.index) = (Arc::new(Mutex::new(worker)), 0);
@@ -233,8 +243,8 @@ impl Env for GymnasiumEnv {
     }
 
     fn reset(&mut self, seed: u64) -> Result<(), EnvError> {
-        if self.episode.take().is_some_and(|episode| episode.game.begun) {
-            // The reply of a step that nobody asked for any more stands before that of the reset.
+        if self.episode.take().is_some_and(|episode| episode.simulation.begun) {
+            // The reply of an abandoned step comes before that of the reset.
             locked(&self.worker).fetch(self.index)?;
         }
         let draws = match self.config.tracks {
@@ -244,17 +254,17 @@ impl Env for GymnasiumEnv {
             }
         };
         self.call(Operation::Reset, seed, &draws)?;
-        self.episode = Some(Played::begin(seed, Elsewhere { begun: false }, 0, None));
+        self.episode = Some(EpisodeRunner::begin(seed, RemoteGame { begun: false }, 0, None));
         Ok(())
     }
 
     fn begin(&mut self, action: &[f32]) -> Result<(), EnvError> {
         let action = self.checked(action)?;
         let episode = self.running()?;
-        if std::mem::replace(&mut episode.game.begun, true) {
+        if std::mem::replace(&mut episode.simulation.begun, true) {
             return Ok(());
         }
-        episode.note_action(&action);
+        episode.record_action(&action);
         Ok(locked(&self.worker).ask(Operation::Step, self.index, 0, &le_bytes(&action))?)
     }
 
@@ -267,8 +277,8 @@ impl Env for GymnasiumEnv {
             step
         };
         let episode = self.running()?;
-        episode.game.begun = false;
-        episode.note_step(step);
+        episode.simulation.begun = false;
+        episode.record_step(step);
         Ok(step)
     }
 
@@ -280,7 +290,7 @@ impl Env for GymnasiumEnv {
     }
 
     fn snapshot(&self) -> EnvSnapshot {
-        Played::snapshot(self.episode.as_ref())
+        EpisodeRunner::snapshot(self.episode.as_ref())
     }
 
     fn restore(&mut self, snapshot: &EnvSnapshot) -> Result<(), EnvError> {
@@ -292,27 +302,28 @@ impl Env for GymnasiumEnv {
         snapshot.replay(self.spaces.1.action_len(), |action| self.step(action))
     }
 
-    fn render(&mut self, width: usize, height: usize) -> Result<Picture, EnvError> {
+    fn render(&mut self, width: usize, height: usize) -> Result<RgbImage, EnvError> {
         if self.episode.is_none() {
             return Err(EnvError::NotStarted);
         }
-        if !(1..=MOST_PIXELS).contains(&width) || !(1..=MOST_PIXELS).contains(&height) {
-            let message = format!("{width} x {height} pixels, expected 1 to {MOST_PIXELS} a side");
-            return Err(EnvError::Picture(message));
-        }
-        let picture = locked(&self.worker).picture();
-        let drawn = match picture {
+        RgbImage::check_size(width, height)?;
+        let image = locked(&self.worker).image();
+        let drawn = match image {
             Some(size) => size,
             None => {
-                self.move_to_a_worker_that_draws()?;
-                let size = locked(&self.worker).picture();
-                size.ok_or_else(|| EnvError::Picture(format!("`{}` has no picture", self.config.id)))?
+                self.move_to_a_rendering_worker()?;
+                let size = locked(&self.worker).image();
+                size.ok_or_else(|| EnvError::Render(format!("`{}` has no image", self.config.id)))?
             }
         };
-        self.call(Operation::Picture, 0, &[])?;
-        let mut picture = Picture::new(width, height);
-        Area::new(drawn, [height, width]).apply(locked(&self.worker).seen(self.index), 3, &mut picture.rgb);
-        Ok(picture)
+        self.call(Operation::Render, 0, &[])?;
+        let mut image = RgbImage::new(width, height);
+        AreaResampler::new(drawn, [height, width]).apply(
+            locked(&self.worker).seen(self.index),
+            3,
+            &mut image.rgb,
+        );
+        Ok(image)
     }
 }
 

@@ -1,5 +1,5 @@
-//! What goes over the pipes: one line of JSON there, one greeting back, then requests and replies of fixed sizes.
-//! `worker.py` is the other side.
+//! The protocol over the pipes: a set-up line as JSON, a greeting in response, then requests and replies of fixed sizes.
+//! `worker.py` implements the other side.
 
 use std::collections::BTreeMap;
 
@@ -9,79 +9,79 @@ use crate::{ActionSpace, ObservationSpace, Outcome, Step};
 
 /// Raised with every change of the layout.
 pub const PROTOCOL: u32 = 1;
-/// What a greeting begins with.
+/// First bytes of a greeting.
 pub const MAGIC: &[u8; 8] = b"DRILGYM1";
-/// A greeting is not longer, or it is none.
+/// Maximum length of a greeting.
 pub const MOST_GREETING: u32 = 1 << 20;
-/// Bytes before a reply's observation.
+/// Length of a reply's header, before the observation.
 pub const REPLY: usize = 20;
-/// What a reply begins with: `DRYM`, as a number.
+/// First bytes of a reply: `DRYM`, as a number.
 const MARK: u32 = 0x4d59_5244;
 
-/// What to play: the first line that a worker reads.
+/// Which environments to create: the first line that a worker reads.
 #[derive(Debug, Serialize)]
-pub struct Order<'a> {
+pub struct Setup<'a> {
     /// The environment's id.
     pub id: &'a str,
     /// Arguments of `gymnasium.make`.
     pub kwargs: &'a BTreeMap<String, serde_json::Value>,
-    /// Steps after which an episode is cut off.
+    /// Steps after which an episode is truncated.
     pub time_limit: Option<u32>,
-    /// Environments side by side.
+    /// Number of environments.
     pub count: usize,
-    /// True where somebody wants to look.
-    pub pictures: bool,
-    /// True where every reset hands over the track's draws.
+    /// True to allow rendering.
+    pub images: bool,
+    /// True if every reset passes the track's random draws.
     pub draws: bool,
-    /// Packages whose versions are wanted.
+    /// Packages whose versions to report.
     pub packages: Vec<&'a str>,
 }
 
-/// What a worker says first.
+/// The first message of a worker.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Greeting {
     /// [`PROTOCOL`].
     pub protocol: u32,
-    /// The version of every package that was asked for; none where it is missing.
+    /// The version of every requested package; none if it is missing.
     #[serde(default)]
     pub versions: BTreeMap<String, Option<String>>,
-    /// What the environment shows.
+    /// Raw observations.
     #[serde(default)]
-    pub observation: Option<Shown>,
-    /// What it takes.
+    pub observation: Option<RawObservation>,
+    /// Action space.
     #[serde(default)]
     pub action: Option<ActionSpace>,
-    /// Height and width of a picture for people, where those were asked for.
+    /// Height and width of rendered images, if rendering was requested.
     #[serde(default)]
-    pub picture: Option<[usize; 2]>,
-    /// Why it cannot be played.
+    pub image: Option<[usize; 2]>,
+    /// Why the environment cannot be used.
     #[serde(default)]
     pub refused: Option<Refusal>,
 }
 
-/// What an environment shows, before our preprocessing.
+/// Raw observations of an environment, before preprocessing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
-pub enum Shown {
-    /// Bytes, row by row, `channels` (1 or 3) for each pixel.
+pub enum RawObservation {
+    /// Bytes, row by row, `channels` (1 or 3) per pixel.
     Image {
         /// Rows.
         height: usize,
         /// Columns.
         width: usize,
-        /// 1 for grey, 3 for colours.
+        /// 1 for greyscale, 3 for RGB.
         channels: usize,
     },
     /// `f32` values.
     Vector {
-        /// How many.
+        /// Length of the vector.
         len: usize,
     },
 }
 
-impl Shown {
-    /// Bytes of an observation on the pipe.
+impl RawObservation {
+    /// Size of an observation on the pipe, in bytes.
     pub fn bytes(self) -> usize {
         match self {
             Self::Image { height, width, channels } => height * width * channels,
@@ -89,9 +89,9 @@ impl Shown {
         }
     }
 
-    /// What policies see of it.
+    /// Observation space after preprocessing.
     pub fn space(self) -> ObservationSpace {
-        use crate::preprocess::SIDE;
+        use crate::wrappers::preprocess::SIDE;
         match self {
             Self::Image { .. } => ObservationSpace::Image { height: SIDE, width: SIDE, stack: 4 },
             Self::Vector { len } => ObservationSpace::Vector { len },
@@ -99,25 +99,25 @@ impl Shown {
     }
 }
 
-/// Why a worker cannot play.
+/// Why a worker cannot create an environment.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Refusal {
     /// `unknown` id, `missing` package, `settings` or `space`.
     pub kind: String,
-    /// For people.
+    /// Explanation.
     pub message: String,
 }
 
-/// What a worker is asked for.
+/// An operation of a worker.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Operation {
     /// Starts an episode.
     Reset,
-    /// Acts once.
+    /// Takes one step.
     Step,
-    /// Draws for people.
-    Picture,
+    /// Renders an image.
+    Render,
 }
 
 impl Operation {
@@ -125,21 +125,21 @@ impl Operation {
         match self {
             Self::Reset => b'R',
             Self::Step => b'S',
-            Self::Picture => b'P',
+            Self::Render => b'P',
         }
     }
 
-    /// For messages: "while ...".
+    /// For error messages: "while ...".
     pub fn doing(self) -> &'static str {
         match self {
             Self::Reset => "starting an episode",
             Self::Step => "stepping",
-            Self::Picture => "drawing",
+            Self::Render => "rendering",
         }
     }
 }
 
-/// The bytes of a request: operation, environment, seed, and what belongs to it (draws or actions).
+/// A request: operation, environment, seed, and its data (draws or actions).
 pub fn request(operation: Operation, env: usize, seed: u64, body: &[u8]) -> Vec<u8> {
     let mut bytes = vec![operation.code(), 0, 0, 0];
     bytes.extend((env as u32).to_le_bytes());
@@ -148,10 +148,10 @@ pub fn request(operation: Operation, env: usize, seed: u64, body: &[u8]) -> Vec<
     bytes
 }
 
-/// The head of a reply: which environment it is of, and what the step gave.
+/// Parses the header of a reply: the environment, and the result of the step.
 ///
 /// # Errors
-/// What is wrong with it, where it does not answer `operation`.
+/// The reply is invalid, or does not belong to `operation`.
 pub fn reply(head: &[u8; REPLY], operation: Operation, envs: usize) -> Result<(usize, Step), String> {
     let word = |at: usize| u32::from_le_bytes([head[at], head[at + 1], head[at + 2], head[at + 3]]);
     let mut reward = [0; 8];

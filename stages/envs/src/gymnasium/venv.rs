@@ -1,5 +1,5 @@
-//! The Python that plays: a virtual environment with pinned packages, made when it is first needed, or one that the user
-//! names.
+//! The Python for Gymnasium: a virtual environment with pinned packages, created when it is first needed, or a Python
+//! named by the user.
 
 use std::ffi::OsString;
 use std::fs::{self, File};
@@ -9,11 +9,11 @@ use std::sync::OnceLock;
 
 use super::GymnasiumError;
 
-/// The packages, one a line, with exact versions; all that they need is among them.
+/// The packages with their dependencies, one per line, with exact versions.
 pub(super) const REQUIREMENTS: &str = include_str!("requirements.txt");
-/// What makes the virtual environment, unless another Python is named.
+/// The Python that creates the virtual environment.
 const PYTHON: &str = "python3";
-/// The oldest Python that the packages take, as text and as numbers.
+/// The oldest supported Python, as text and as numbers.
 const OLDEST: (&str, (u32, u32)) = ("3.11", (3, 11));
 /// Lines of pip's output that an error shows.
 const LINES: usize = 15;
@@ -21,9 +21,9 @@ const LINES: usize = 15;
 /// Where the Python packages are.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PythonHome {
-    /// The folder in which virtual environments are made.
+    /// The folder for virtual environments.
     pub folder: PathBuf,
-    /// A Python that has the packages already; none is made then.
+    /// A Python that already has the packages; then nothing is installed.
     pub python: Option<PathBuf>,
 }
 
@@ -50,16 +50,16 @@ impl PythonHome {
 
 static HOME: OnceLock<PythonHome> = OnceLock::new();
 
-/// Says where the Python packages are. A program calls it once, before it builds an environment; only the first call
-/// counts. Where they are changes no result: a worker with packages of other versions is refused.
+/// Sets where the Python packages are. A program calls it once, before it builds an environment; only the first call has
+/// an effect. The location changes no result: a worker with other versions is rejected.
 pub fn keep_python_in(home: PythonHome) {
     let _ = HOME.set(home);
 }
 
-/// The Python with the packages; makes it where it is not there.
+/// The Python with the packages; installs them if they are missing.
 ///
 /// # Errors
-/// There is no Python, or the packages cannot be installed; the message has the commands to type.
+/// There is no Python, or the packages cannot be installed; the message lists the commands to run.
 pub fn python() -> Result<PathBuf, GymnasiumError> {
     let home = HOME.get().ok_or(GymnasiumError::NoFolder)?;
     match &home.python {
@@ -68,7 +68,7 @@ pub fn python() -> Result<PathBuf, GymnasiumError> {
     }
 }
 
-/// The virtual environment in `folder` for these requirements, made by `python` where it is not there.
+/// The virtual environment in `folder` for these requirements, created by `python` if it is missing.
 fn ready(folder: &Path, python: &str) -> Result<PathBuf, GymnasiumError> {
     let digest = blake3::hash(REQUIREMENTS.as_bytes()).to_hex();
     let target = folder.join(format!("gymnasium-{}", &digest[..12]));
@@ -84,7 +84,7 @@ fn ready(folder: &Path, python: &str) -> Result<PathBuf, GymnasiumError> {
         failed(format!("cannot {doing} `{}`: {error}", path.display()))
     };
     fs::create_dir_all(folder).map_err(|error| io("create", folder, error))?;
-    // Several stages may want it at once: one makes it, the others wait. The lock goes with its process.
+    // Several stages may need it at once: one creates it, the others wait. The lock is released with its process.
     let lock = target.with_extension("lock");
     let held = File::create(&lock).and_then(|file| file.lock().map(|()| file));
     let _held = held.map_err(|error| io("lock", &lock, error))?;
@@ -113,12 +113,12 @@ fn check_version(python: &str) -> Result<(), GymnasiumError> {
     match numbers[..] {
         [major, minor] if (major, minor) >= OLDEST.1 => Ok(()),
         [major, minor] => Err(wrong(format!("`{python}` is Python {major}.{minor}"))),
-        _ => Err(wrong(format!("`{python}` does not say its version"))),
+        _ => Err(wrong(format!("`{python}` did not report its version"))),
     }
 }
 
-/// Makes a virtual environment with the packages. It is made without a pip of its own: some systems cannot, and the one
-/// that belongs to `python` will do.
+/// Creates a virtual environment with the packages. It is created without pip, which some systems cannot install; the pip
+/// of `python` is used instead.
 fn install(folder: &Path, python: &str) -> Result<(), String> {
     run(Command::new(python).args(["-m", "venv", "--without-pip"]).arg(folder))?;
     let requirements = folder.join("requirements.txt");
@@ -155,7 +155,7 @@ fn last_lines(output: &Output) -> String {
     lines[lines.len().saturating_sub(LINES)..].join("\n")
 }
 
-/// What to type in order to make it by hand.
+/// The commands that create it by hand.
 fn commands(target: &Path, python: &str) -> String {
     let target = target.display();
     let packages = REQUIREMENTS.split_whitespace().collect::<Vec<_>>().join(" ");

@@ -20,7 +20,7 @@ MAGIC = b"DRILGYM1"
 REQUEST = struct.Struct("<BxxxIQ")  # operation, environment, seed
 REPLY = struct.Struct("<IBBxxId")  # mark, operation, outcome, environment, reward
 MARK = 0x4D595244
-RESET, STEP, PICTURE = b"RSP"
+RESET, STEP, RENDER = b"RSP"
 RUNNING, FINISHED, FAILED, TIME_LIMIT = range(4)
 TRACK_DRAWS = 24
 ATARI = {  # every default of AtariVectorEnv that changes what is played, set here on purpose
@@ -77,7 +77,7 @@ class Plain:
         settings = dict(self.order["kwargs"])
         if self.order["time_limit"] is not None:
             settings["max_episode_steps"] = self.order["time_limit"]
-        if self.order["pictures"]:
+        if self.order["images"]:
             settings["render_mode"] = "rgb_array"
         self.env = self.gymnasium.make(self.order["id"], **settings)
 
@@ -90,7 +90,7 @@ class Plain:
             if channels in (1, 3):
                 return {"image": {"height": shape[0], "width": shape[1], "channels": channels}}
         if not space.is_np_flattenable:
-            raise Refused("space", f"it shows {space}, expected a picture or something that becomes a vector")
+            raise Refused("space", f"it shows {space}, expected an image or something that becomes a vector")
         return {"vector": {"len": int(spaces.flatten_space(space).shape[0])}}
 
     def act_as(self):
@@ -102,11 +102,11 @@ class Plain:
             return {"continuous": {"dims": 2 if self.is_car else int(space.low.size)}}
         raise Refused("space", f"it takes {space}, expected a Box or Discrete action space")
 
-    def picture_size(self):
+    def image_size(self):
         self.env.reset(seed=0)
-        return list(self.picture().shape[:2])
+        return list(self.image().shape[:2])
 
-    def picture(self):
+    def image(self):
         return self.env.render()
 
     def reset(self, seed, draws):
@@ -153,7 +153,7 @@ class Plain:
 
 class Atari:
     """A game of the Arcade Learning Environment: one AtariVectorEnv of one environment, so that each starts its own
-    episodes. It shows the newest grey picture; whoever reads the frames stacks them."""
+    episodes. It shows the newest greyscale frame; whoever reads the frames stacks them."""
 
     def __init__(self, order, game):
         unknown = sorted(set(order["kwargs"]) - set(ATARI))
@@ -165,7 +165,7 @@ class Atari:
         self.game, self.steps = game, 0
         self.env = self.make(84, 84, True)
         # The same game in colour, for people.
-        self.show = self.make(210, 160, False) if order["pictures"] else None
+        self.show = self.make(210, 160, False) if order["images"] else None
         self.colours = None
         self.observation = {"image": {"height": 84, "width": 84, "channels": 1}}
         self.action = {"discrete": {"actions": int(self.env.single_action_space.n)}}
@@ -189,10 +189,10 @@ class Atari:
             **self.settings,
         )
 
-    def picture_size(self):
+    def image_size(self):
         return [210, 160]
 
-    def picture(self):
+    def image(self):
         return self.colours
 
     def reset(self, seed, _draws):
@@ -265,8 +265,8 @@ def greet(order):
         answer["versions"] = versions(order["packages"])
         envs = make(order)
         answer["observation"], answer["action"] = envs[0].observation, envs[0].action
-        if order["pictures"]:
-            answer["picture"] = envs[0].picture_size()
+        if order["images"]:
+            answer["image"] = envs[0].image_size()
     except Refused as refused:
         answer["refused"] = {"kind": refused.kind, "message": str(refused)}
     return envs, answer
@@ -296,8 +296,8 @@ def serve(envs, answer, order, requests, replies):
             payload = env.reset(seed, draws)
         elif operation == STEP:
             payload, reward, outcome = env.step(struct.unpack(f"<{actions}f", requests.read(step_size)))
-        elif operation == PICTURE:
-            payload = env.picture().tobytes()
+        elif operation == RENDER:
+            payload = env.image().tobytes()
         else:
             raise ValueError(f"unknown operation {operation}")
         replies.write(REPLY.pack(MARK, operation, outcome, index, reward))

@@ -1,8 +1,8 @@
-//! A Python process that plays several environments, and the pipes to it. Every wait has an end, every failure kills
-//! the process, and dropping it leaves nothing behind.
+//! The Python process that runs environments, and the pipes to it. Every wait has a timeout, every failure kills the
+//! process, and dropping it leaves nothing behind.
 //!
-//! The process watches its parent by itself (`worker.py`). The kernel's death signal would not do: it follows the thread
-//! that started the process, and environments move between threads.
+//! The process watches its parent itself (`worker.py`): the kernel's parent-death signal follows the thread that started
+//! the process, and environments move between threads.
 
 use std::collections::VecDeque;
 use std::io::{Read, Write};
@@ -17,32 +17,33 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
 use super::config::playing;
 use super::protocol::{
-    Greeting, MAGIC, MOST_GREETING, Operation, Order, PROTOCOL, REPLY, Refusal, Shown, reply, request,
+    Greeting, MAGIC, MOST_GREETING, Operation, PROTOCOL, REPLY, RawObservation, Refusal, Setup, reply,
+    request,
 };
 use super::{GymnasiumConfig, GymnasiumError};
 use crate::{ActionSpace, Step};
 
-/// The other side.
+/// The worker's source.
 const SOURCE: &str = include_str!("worker.py");
-/// Bytes of the worker's last words that are kept.
+/// Bytes of the worker's last output that are kept.
 const LAST_WORDS: usize = 4096;
-/// A write of so many bytes never blocks once the pipe is ready for one.
+/// Writes of at most this size do not block once the pipe is writable.
 const ATOMIC_WRITE: usize = 4096;
-/// How long a process that closed its pipes may take to end.
+/// Timeout for a process that closed its pipes to exit.
 const GRACE: Duration = Duration::from_secs(2);
-/// Room in the pipes, so that the replies of all environments fit: neither side waits for the other.
+/// Size of the pipes, so that the replies of all environments fit and neither side blocks the other.
 const PIPE: usize = 1 << 20;
 
-/// How a worker is started, and how long it may be silent.
+/// How a worker is started, and its timeouts.
 #[derive(Clone, Debug)]
 pub struct Launch {
-    /// The Python.
+    /// The Python executable.
     pub program: PathBuf,
-    /// The program that it runs.
+    /// The worker's source.
     pub source: String,
-    /// Until it greets: it may have to read its packages from a slow disk.
+    /// Timeout of the greeting: it may have to load its packages from a slow disk.
     pub start: Duration,
-    /// Between a request and its reply.
+    /// Timeout of a reply.
     pub step: Duration,
 }
 
@@ -59,34 +60,34 @@ impl Launch {
 pub struct Worker {
     id: String,
     child: Child,
-    /// None once the process shall end.
+    /// None once the process has to exit.
     requests: Option<ChildStdin>,
     replies: ChildStdout,
     words: Arc<Mutex<VecDeque<u8>>>,
     listener: Option<JoinHandle<()>>,
     patience: Duration,
-    shown: Shown,
+    shown: RawObservation,
     action: ActionSpace,
-    picture: Option<[usize; 2]>,
-    /// What was asked and is not answered yet, the oldest first.
+    image: Option<[usize; 2]>,
+    /// Pending requests, oldest first.
     asked: VecDeque<(Operation, usize)>,
-    /// The newest reply to each environment that nobody has fetched.
+    /// The latest reply for each environment that was not fetched yet.
     answered: Vec<Option<Step>>,
     seen: Vec<Vec<u8>>,
-    /// What ended it; told again to whoever asks afterwards.
+    /// The error that ended it, returned by all later calls.
     broken: Option<GymnasiumError>,
 }
 
 impl Worker {
-    /// Starts a worker for `count` environments, with pictures for people where `pictures`.
+    /// Starts a worker for `count` environments; `images` allows rendering.
     ///
     /// # Errors
-    /// It cannot be started, has the wrong packages, or cannot play this environment.
+    /// It cannot be started, has the wrong packages, or cannot create the environment.
     pub fn start(
         launch: &Launch,
         config: &GymnasiumConfig,
         count: usize,
-        pictures: bool,
+        images: bool,
     ) -> Result<Self, GymnasiumError> {
         let mut child = spawn(launch)?;
         let (Some(requests), Some(replies), Some(stderr)) =
@@ -109,36 +110,36 @@ impl Worker {
             words,
             listener,
             patience: launch.start,
-            shown: Shown::Vector { len: 0 },
+            shown: RawObservation::Vector { len: 0 },
             action: ActionSpace::Discrete { actions: 0 },
-            picture: None,
+            image: None,
             asked: VecDeque::new(),
             answered: vec![None; count],
             seen: vec![Vec::new(); count],
             broken: None,
         };
-        let greeting = worker.greet(config, count, pictures)?;
+        let greeting = worker.greet(config, count, images)?;
         worker.accept(greeting, launch)?;
         worker.patience = launch.step;
         Ok(worker)
     }
 
-    /// What the environments show, before our preprocessing.
-    pub fn shown(&self) -> Shown {
+    /// Raw observations, before preprocessing.
+    pub fn shown(&self) -> RawObservation {
         self.shown
     }
 
-    /// What they take.
+    /// Action space.
     pub fn action(&self) -> &ActionSpace {
         &self.action
     }
 
-    /// Height and width of a picture for people; none where none were asked for.
-    pub fn picture(&self) -> Option<[usize; 2]> {
-        self.picture
+    /// Height and width of rendered images; none if rendering was not requested.
+    pub fn image(&self) -> Option<[usize; 2]> {
+        self.image
     }
 
-    /// The number of its process.
+    /// The process id.
     #[cfg(test)]
     pub fn process(&self) -> u32 {
         self.child.id()
@@ -147,7 +148,7 @@ impl Worker {
     /// Sends a request; [`Worker::fetch`] waits for the reply.
     ///
     /// # Errors
-    /// The worker is gone, or does not read.
+    /// The worker exited, or does not read.
     pub fn ask(
         &mut self,
         operation: Operation,
@@ -161,10 +162,10 @@ impl Worker {
         Ok(())
     }
 
-    /// Waits for the reply to the environment's request; [`Worker::seen`] then has what it shows.
+    /// Waits for the reply to the environment's request; [`Worker::seen`] then returns its observation.
     ///
     /// # Errors
-    /// The worker died, hangs, or answers nonsense.
+    /// The worker exited, hangs, or sent an invalid response.
     pub fn fetch(&mut self, env: usize) -> Result<Step, GymnasiumError> {
         self.check()?;
         loop {
@@ -178,7 +179,7 @@ impl Worker {
         }
     }
 
-    /// The bytes of the newest reply to the environment.
+    /// The bytes of the environment's latest reply.
     pub fn seen(&self, env: usize) -> &[u8] {
         &self.seen[env]
     }
@@ -196,8 +197,8 @@ impl Worker {
         if of != env {
             return Err(self.malformed(doing, format!("it is of environment {of}, expected {env}")));
         }
-        let bytes = match (operation, self.picture) {
-            (Operation::Picture, Some([height, width])) => height * width * 3,
+        let bytes = match (operation, self.image) {
+            (Operation::Render, Some([height, width])) => height * width * 3,
             _ => self.shown.bytes(),
         };
         let mut seen = std::mem::take(&mut self.seen[env]);
@@ -212,15 +213,15 @@ impl Worker {
         &mut self,
         config: &GymnasiumConfig,
         count: usize,
-        pictures: bool,
+        images: bool,
     ) -> Result<Greeting, GymnasiumError> {
         const DOING: &str = "starting";
-        let order = Order {
+        let order = Setup {
             id: &config.id,
             kwargs: &config.kwargs,
             time_limit: config.time_limit,
             count,
-            pictures,
+            images,
             draws: config.tracks == super::Tracks::CarRacing,
             packages: playing().map(|(name, _)| name).collect(),
         };
@@ -241,10 +242,10 @@ impl Worker {
         serde_json::from_slice(&text).map_err(|error| self.malformed(DOING, error.to_string()))
     }
 
-    /// Takes up what the greeting says, or says why it will not do.
+    /// Checks the greeting, and stores its content.
     fn accept(&mut self, greeting: Greeting, launch: &Launch) -> Result<(), GymnasiumError> {
         if greeting.protocol != PROTOCOL {
-            let message = format!("it speaks protocol {}, expected {PROTOCOL}", greeting.protocol);
+            let message = format!("it uses protocol {}, expected {PROTOCOL}", greeting.protocol);
             return Err(self.malformed("starting", message));
         }
         for (name, version) in playing() {
@@ -252,10 +253,9 @@ impl Worker {
             if seen != Some(version) {
                 let seen = seen.map_or_else(|| format!("no package {name}"), |seen| format!("{name} {seen}"));
                 let program = launch.program.clone();
-                let mend =
-                    format!("install it with `{} -m pip install {name}=={version}`", program.display());
+                let fix = format!("install it with `{} -m pip install {name}=={version}`", program.display());
                 let error =
-                    GymnasiumError::Package { program, seen, expected: format!("{name} {version}"), mend };
+                    GymnasiumError::Package { program, seen, expected: format!("{name} {version}"), fix };
                 return Err(self.fail(error));
             }
         }
@@ -265,10 +265,10 @@ impl Worker {
         }
         let (Some(shown), Some(action)) = (greeting.observation, greeting.action) else {
             return Err(
-                self.malformed("starting", "the greeting does not say what is shown and taken".to_owned())
+                self.malformed("starting", "the greeting has no observation and action space".to_owned())
             );
         };
-        (self.shown, self.action, self.picture) = (shown, action, greeting.picture);
+        (self.shown, self.action, self.image) = (shown, action, greeting.image);
         Ok(())
     }
 
@@ -324,7 +324,7 @@ impl Worker {
         self.fail(GymnasiumError::Malformed { id: self.id.clone(), doing, message })
     }
 
-    /// Nothing is asked of it any more.
+    /// Ends the worker and stores the error.
     fn fail(&mut self, error: GymnasiumError) -> GymnasiumError {
         self.end(Duration::ZERO);
         self.broken = Some(error.clone());
@@ -390,7 +390,7 @@ fn refused(id: &str, refusal: Refusal, launch: &Launch) -> GymnasiumError {
             program: launch.program.clone(),
             seen: format!("not all that `{id}` needs ({message})"),
             expected: "its packages".to_owned(),
-            mend: "put the path of a Python that has them, beside the packages of this program, into DRIL_PIPE_PYTHON"
+            fix: "put the path of a Python that has them, beside the packages of this program, into DRIL_PIPE_PYTHON"
                 .to_owned(),
         },
         _ => GymnasiumError::Refused { id, message },

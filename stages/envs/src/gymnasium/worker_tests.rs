@@ -74,28 +74,28 @@ fn a_worker_that_dies_is_told_with_its_last_words() {
     let text = step_error("dies-stepping", &fake());
     has(
         &text,
-        &["`dies-stepping` ended while stepping", "exit status: 7", "MemoryError: no room for the car"],
+        &["`dies-stepping` exited while stepping", "exit status: 7", "MemoryError: no room for the car"],
     );
     let text = worker("dies-early", &fake()).unwrap_err().to_string();
-    has(&text, &["ended while starting", "exit status: 7", "no room"]);
+    has(&text, &["exited while starting", "exit status: 7", "no room"]);
     let text = step_error("halves", &fake());
-    has(&text, &["ended while stepping", "exit status: 0", "(it said nothing)"]);
+    has(&text, &["exited while stepping", "exit status: 0", "(it said nothing)"]);
 }
 
 #[test]
 fn a_worker_that_hangs_is_killed_after_a_while() {
     let text = step_error("hangs-stepping", &impatient());
-    has(&text, &["has not answered for 1 s while stepping", "was killed"]);
+    has(&text, &["did not respond for 1 s while stepping", "was killed"]);
     let text = worker("hangs-early", &impatient()).unwrap_err().to_string();
-    has(&text, &["has not answered for 3 s while starting"]);
+    has(&text, &["did not respond for 3 s while starting"]);
 }
 
 #[test]
 fn what_others_print_between_the_replies_is_noticed() {
     let text = step_error("prints-stepping", &fake());
-    has(&text, &["malformed answer while stepping", "begins with `pygam`, expected `DRYMS`"]);
+    has(&text, &["invalid response while stepping", "begins with `pygam`, expected `DRYMS`"]);
     let text = worker("prints-early", &fake()).unwrap_err().to_string();
-    has(&text, &["malformed answer while starting", "expected `DRILGYM1`"]);
+    has(&text, &["invalid response while starting", "expected `DRILGYM1`"]);
     let text = worker("other-protocol", &fake()).unwrap_err().to_string();
     has(&text, &["protocol 2, expected 1"]);
 }

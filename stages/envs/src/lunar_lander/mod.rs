@@ -2,10 +2,12 @@
 //!
 //! Written from the facts of gym's LunarLanderContinuous-v2 (Klimov, 2016) and Gymnasium's v3, which play alike, with
 //! rapier2d in place of Box2D. [`terrain`] makes the ground, [`engines`] the thrust, [`start`] the first moment; [`world`]
-//! moves lander and legs, [`touch`] sees what touches the ground, [`simulation`] keeps the score, and [`picture`] draws.
+//! moves lander and legs, [`touch`] sees what touches the ground, [`simulation`] keeps the score, and [`render`] draws.
 
+mod config;
 pub mod engines;
-pub mod picture;
+pub mod pilot;
+pub mod render;
 pub mod shape;
 pub mod simulation;
 pub mod start;
@@ -16,16 +18,15 @@ pub mod world;
 use dril_stage_api::{Seed, StreamRng};
 use rand::Rng;
 
-use crate::played::{Game, Played};
+use crate::episode::{EpisodeRunner, Game, Simulate};
+use crate::settings::several;
 use crate::{
-    ActionSpace, Env, EnvError, EnvSnapshot, Frame, LunarLanderConfig, MapLine, ObservationSpace, Picture,
-    Step,
+    ActionSpace, Env, EnvError, EnvSettings, Frame, MapLine, ObservationSpace, Pose, RgbImage, Step,
 };
+pub use config::LunarLanderConfig;
 use simulation::{Draws, OBSERVED, Simulation};
 use terrain::MOST_HEIGHT;
 
-/// Values of an action: main engine and side engines.
-const DIMS: usize = 2;
 /// The push at the start is at most this in each direction.
 const MOST_FORCE: f64 = 1000.0;
 
@@ -36,19 +37,16 @@ const MOST_FORCE: f64 = 1000.0;
 pub struct LunarLander {
     config: LunarLanderConfig,
     frame: [f32; OBSERVED],
-    episode: Option<Played<Flight>>,
+    episode: Option<EpisodeRunner<Flight>>,
 }
 
-struct Flight {
+/// An episode: the simulation, and the random dispersion of its engines.
+pub struct Flight {
     simulation: Simulation,
     dispersion: StreamRng,
 }
 
 impl LunarLander {
-    /// What it shows and takes.
-    pub const SPACES: (ObservationSpace, ActionSpace) =
-        (ObservationSpace::Vector { len: OBSERVED }, ActionSpace::Continuous { dims: DIMS });
-
     /// An environment before its first episode.
     pub fn new(config: LunarLanderConfig) -> Self {
         Self { config, frame: [0.0; OBSERVED], episode: None }
@@ -66,29 +64,14 @@ impl LunarLander {
 
     /// The running episode.
     pub fn simulation(&self) -> Option<&Simulation> {
-        self.episode.as_ref().map(|episode| &episode.game.simulation)
-    }
-
-    fn start(&mut self, seed: u64) {
-        let limit = self.config.time_limit as usize;
-        let game = Flight {
-            simulation: Simulation::new(&Self::draws(seed), limit),
-            dispersion: Seed(seed).stream("lander/dispersion"),
-        };
-        self.episode = Some(Played::begin(seed, game, limit.saturating_mul(DIMS), self.episode.take()));
-    }
-
-    fn observe(&mut self) {
-        if let Some(episode) = &self.episode {
-            self.frame = episode.game.simulation.observation().map(|value| value as f32);
-        }
+        self.episode.as_ref().map(|episode| &episode.simulation.simulation)
     }
 }
 
-impl Game<DIMS> for Flight {
-    fn play(&mut self, action: [f32; DIMS]) -> Step {
+impl Simulate for Flight {
+    fn advance(&mut self, action: &[f32]) -> Step {
         let dispersion = std::array::from_fn(|_| 2.0 * unit_interval(&mut self.dispersion) - 1.0);
-        self.simulation.step(action.map(f64::from), dispersion)
+        self.simulation.step([0, 1].map(|value| f64::from(action[value])), dispersion)
     }
 }
 
@@ -97,66 +80,79 @@ fn unit_interval(stream: &mut StreamRng) -> f64 {
     (stream.next_u64() >> 11) as f64 / (1u64 << 53) as f64
 }
 
-impl Env for LunarLander {
-    fn observation_space(&self) -> ObservationSpace {
-        Self::SPACES.0
+impl Game for LunarLander {
+    type Simulation = Flight;
+    const SPACES: (ObservationSpace, ActionSpace) =
+        (ObservationSpace::Vector { len: OBSERVED }, ActionSpace::Continuous { dims: 2 });
+
+    fn simulate(&self, seed: u64) -> Result<Flight, EnvError> {
+        Ok(Flight {
+            simulation: Simulation::new(&Self::draws(seed), self.time_limit()),
+            dispersion: Seed(seed).stream("lander/dispersion"),
+        })
     }
 
-    fn action_space(&self) -> ActionSpace {
-        Self::SPACES.1
+    fn time_limit(&self) -> usize {
+        self.config.time_limit as usize
     }
 
-    fn reset(&mut self, seed: u64) -> Result<(), EnvError> {
-        self.start(seed);
-        self.observe();
-        Ok(())
+    fn episode(&self) -> Option<&EpisodeRunner<Flight>> {
+        self.episode.as_ref()
     }
 
-    fn step(&mut self, action: &[f32]) -> Result<Step, EnvError> {
-        let step = self.episode.as_mut().ok_or(EnvError::NotStarted)?.step(action)?;
-        self.observe();
-        Ok(step)
+    fn episode_mut(&mut self) -> &mut Option<EpisodeRunner<Flight>> {
+        &mut self.episode
     }
 
-    fn frame(&self) -> Frame<'_> {
+    fn observe(&mut self) {
+        self.frame = match &self.episode {
+            Some(episode) => episode.simulation.simulation.observation().map(|value| value as f32),
+            None => [0.0; OBSERVED],
+        };
+    }
+
+    fn observation(&self) -> Frame<'_> {
         Frame::Vector(&self.frame)
     }
 
-    fn snapshot(&self) -> EnvSnapshot {
-        Played::snapshot(self.episode.as_ref())
+    fn draw(&self, flight: &Flight, width: usize, height: usize) -> RgbImage {
+        render::draw(&flight.simulation, width, height)
     }
 
-    fn restore(&mut self, snapshot: &EnvSnapshot) -> Result<(), EnvError> {
-        let Some(seed) = snapshot.seed else {
-            self.episode = None;
-            self.frame.fill(0.0);
-            return Ok(());
-        };
-        self.start(seed);
-        if let Some(episode) = self.episode.as_mut() {
-            snapshot.replay(DIMS, |action| episode.step(action))?;
-        }
-        self.observe();
-        Ok(())
-    }
-
-    fn render(&mut self, width: usize, height: usize) -> Result<Picture, EnvError> {
-        let episode = self.episode.as_ref().ok_or(EnvError::NotStarted)?;
-        picture::draw(&episode.game.simulation, width, height)
-    }
-
-    fn pose(&self) -> Option<crate::Pose> {
-        let [lander, _, _] = self.simulation()?.motions();
+    fn pose_in(&self, flight: &Flight) -> Option<Pose> {
+        let [lander, _, _] = flight.simulation.motions();
         let [position, velocity] = [lander.position, lander.velocity].map(|pair| pair.map(f64::from));
-        Some(crate::Pose::new(position, f64::from(lander.angle), velocity))
+        Some(Pose::new(position, f64::from(lander.angle), velocity))
     }
 
-    fn map(&self) -> Vec<MapLine> {
-        let ground = |simulation: &Simulation| MapLine {
-            name: "ground",
-            points: simulation.terrain().points.to_vec(),
-        };
-        self.simulation().map(ground).into_iter().collect()
+    fn map_of(&self, flight: &Flight) -> Vec<MapLine> {
+        vec![MapLine { name: "ground", points: flight.simulation.terrain().points.to_vec() }]
+    }
+}
+
+impl EnvSettings for LunarLanderConfig {
+    fn check(&self) -> Vec<(String, String)> {
+        LunarLanderConfig::check(self)
+    }
+
+    fn build(&self, count: usize, _workers: usize) -> Result<Vec<Box<dyn Env>>, EnvError> {
+        Ok(several(count, || LunarLander::new(self.clone())))
+    }
+
+    fn known_spaces(&self) -> Option<(ObservationSpace, ActionSpace)> {
+        Some(LunarLander::SPACES)
+    }
+
+    fn action_labels(&self) -> &'static [&'static str] {
+        &["main engine", "left | right"]
+    }
+
+    fn steps_per_second(&self) -> f64 {
+        50.0
+    }
+
+    fn aspect_ratio(&self) -> f64 {
+        1.5
     }
 }
 

@@ -1,6 +1,6 @@
 //! The lander's parts and its world: outlines, masses and sizes, as the original gives them.
 
-use crate::mass::{Mass, polygon_mass};
+use crate::physics::mass::{Mass, polygon_mass};
 
 /// The original's pixels per world unit; its lengths are given in pixels.
 pub const SCALE: f64 = 30.0;

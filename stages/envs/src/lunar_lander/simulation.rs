@@ -1,4 +1,4 @@
-//! The game without its picture: lander, ground, reward and end of an episode.
+//! The game without its image: lander, ground, reward and end of an episode.
 
 use super::engines::{self, Push};
 use super::shape::{DT, HEIGHT, WIDTH};

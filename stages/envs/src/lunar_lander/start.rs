@@ -10,7 +10,7 @@ use dril_stage_api::math;
 use super::shape::{
     self, DT, GRAVITY, HEIGHT, LEG_SPEED, LEG_START, LEG_SWING, LEG_TORQUE, SIDES, WIDTH, leg_arm,
 };
-use crate::mass::Mass;
+use crate::physics::mass::Mass;
 
 /// Sweeps over the joints: velocities, then positions.
 const SWEEPS: [usize; 2] = [180, 60];

@@ -1,13 +1,15 @@
-//! The game's rules: rewards, ends, faults, snapshots.
+//! The game's rules: rewards and ends of episodes.
 
 use super::*;
 use crate::Outcome;
-use crate::check::lunar_lander::fly;
-use proptest::prelude::*;
+use crate::conformance::conformance_tests;
+use crate::lunar_lander::pilot::fly;
 
 fn env(time_limit: u32) -> LunarLander {
     LunarLander::new(LunarLanderConfig { time_limit })
 }
+
+conformance_tests!(env);
 
 /// Flies by what the pilot sees until the end: the last step, and the sum of the rewards.
 fn flown(env: &mut LunarLander, mut pilot: impl FnMut(&[f64; OBSERVED]) -> [f64; 2]) -> (Step, f64) {
@@ -67,100 +69,29 @@ fn rewards_are_changes_of_the_potential_less_fuel() {
 }
 
 #[test]
-fn the_time_limit_ends_an_episode_without_a_terminal_state() {
-    let mut env = env(3);
-    env.reset(1).unwrap();
-    let outcomes: Vec<_> = (0..3).map(|_| env.step(&[0.0, 0.0]).unwrap().outcome).collect();
-    assert_eq!(outcomes, [Outcome::Running, Outcome::Running, Outcome::TimeLimit]);
-    assert_eq!(env.step(&[0.0, 0.0]), Err(EnvError::Over { length: 3 }));
-}
-
-#[test]
-fn nan_is_refused_with_the_dimension_and_other_numbers_are_clamped() {
-    let mut env = env(10);
-    assert_eq!(env.step(&[0.0, 0.0]), Err(EnvError::NotStarted));
-    assert_eq!(env.render(60, 40).unwrap_err(), EnvError::NotStarted);
-    env.reset(0).unwrap();
-    assert_eq!(env.step(&[f32::NAN, 0.0]), Err(EnvError::ActionNan { dimension: 0 }));
-    assert_eq!(env.step(&[0.0; 3]), Err(EnvError::ActionLength { seen: 3, expected: 2 }));
-    assert_eq!(env.simulation().unwrap().steps(), 0);
-    env.step(&[f32::INFINITY, -7.0]).unwrap();
-    assert_eq!(env.snapshot().actions, [1.0, -1.0]);
-}
-
-#[test]
-fn one_seed_gives_one_episode_and_another_seed_another() {
-    let frame = |seed| {
-        let mut env = env(100);
-        // What came before does not matter.
-        env.reset(seed ^ 5).unwrap();
-        env.step(&[1.0, 1.0]).unwrap();
-        env.reset(seed).unwrap();
-        env.step(&[1.0, 1.0]).unwrap();
-        env.frame().to_owned()
-    };
-    assert_eq!(frame(8), frame(8));
-    assert_ne!(frame(8), frame(9));
-}
-
-#[test]
 fn the_noise_of_the_engines_is_drawn_whether_they_run_or_not() {
     let after = |first: [f32; 2]| {
         let mut env = env(100);
         env.reset(2).unwrap();
         env.step(&first).unwrap();
-        env.episode.as_mut().unwrap().game.dispersion.next_u64()
+        env.episode.as_mut().unwrap().simulation.dispersion.next_u64()
     };
     assert_eq!(after([0.0, 0.0]), after([1.0, 1.0]));
 }
 
-proptest! {
-    #![proptest_config(ProptestConfig::with_cases(8))]
-    #[test]
-    fn a_restored_episode_goes_on_bit_by_bit(
-        seed: u64,
-        before in prop::collection::vec(prop::array::uniform2(-1.5f32..1.5), 0..40),
-        after in prop::collection::vec(prop::array::uniform2(-1.0f32..1.0), 1..10),
-    ) {
-        let mut one = env(1000);
-        one.reset(seed).unwrap();
-        for action in &before {
-            one.step(action).unwrap();
-        }
-        let mut other = env(1000);
-        other.restore(&one.snapshot()).unwrap();
-        prop_assert_eq!(one.frame(), other.frame());
-        for action in &after {
-            prop_assert_eq!(one.step(action), other.step(action));
-            prop_assert_eq!(one.frame(), other.frame());
-        }
-    }
-}
-
 #[test]
-fn a_snapshot_that_cannot_be_is_refused() {
-    let mut env = env(2);
-    let error = env.restore(&EnvSnapshot { seed: Some(0), actions: vec![0.0; 6] }).unwrap_err().to_string();
-    assert!(error.contains("3 actions, but the episode ends after 2"), "{error}");
-    let error = env.restore(&EnvSnapshot { seed: Some(0), actions: vec![0.0; 3] }).unwrap_err().to_string();
-    assert!(error.contains("1 values, expected 2"), "{error}");
-    env.restore(&EnvSnapshot::default()).unwrap();
-    assert_eq!(env.step(&[0.0, 0.0]), Err(EnvError::NotStarted));
-}
-
-#[test]
-fn the_picture_shows_sky_ground_flags_lander_and_flame() {
+fn the_image_shows_sky_ground_flags_lander_and_flame() {
     let mut env = env(1000);
     env.reset(3).unwrap();
-    // Fly down into the picture, then fire.
+    // Fly down into the image, then fire.
     for _ in 0..70 {
         let action = fly(env.simulation().unwrap().observation());
         env.step(&action.map(|v| v as f32)).unwrap();
     }
     env.step(&[1.0, 0.0]).unwrap();
-    let picture = env.render(300, 200).unwrap();
-    assert_eq!((picture.width, picture.height, picture.rgb.len()), (300, 200, 300 * 200 * 3));
-    let has = |colour: [u8; 3]| picture.rgb.chunks_exact(3).filter(|pixel| **pixel == colour).count();
+    let image = env.render(300, 200).unwrap();
+    assert_eq!((image.width, image.height, image.rgb.len()), (300, 200, 300 * 200 * 3));
+    let has = |colour: [u8; 3]| image.rgb.chunks_exact(3).filter(|pixel| **pixel == colour).count();
     // Sky, ground, flag, lander and flame, as the palette has them.
     for (colour, least) in [
         ([13, 15, 34], 10_000),
@@ -171,7 +102,6 @@ fn the_picture_shows_sky_ground_flags_lander_and_flame() {
     ] {
         assert!(has(colour) >= least, "{colour:?}: {} pixels", has(colour));
     }
-    assert!(env.render(0, 10).is_err() && env.render(10, 100_000).is_err());
 }
 
 #[test]

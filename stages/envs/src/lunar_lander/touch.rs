@@ -6,7 +6,7 @@
 use super::shape::{LANDER, LEG, SCALE, WIDTH};
 use super::terrain::{POINTS, Terrain};
 use super::world::Motion;
-use crate::convex::{self, Point32, SKIN};
+use crate::physics::convex::{self, Point32, SKIN};
 
 /// Edges of the ground, and the line below it.
 const EDGES: usize = POINTS;

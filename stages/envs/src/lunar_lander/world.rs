@@ -20,9 +20,9 @@ use super::shape::{
 };
 use super::start::{Start, Velocities};
 use super::terrain::Terrain;
-use crate::mass::Mass;
+use crate::physics::mass::Mass;
 
-/// Sweeps of the velocity solver per step, and those that only mend positions.
+/// Sweeps of the velocity solver per step, and of the position solver.
 const SWEEPS: [usize; 2] = [60, 20];
 /// Gain of the legs' motors; large means that the motor's speed is met unless its torque does not suffice.
 const MOTOR_GAIN: f32 = 1e6;

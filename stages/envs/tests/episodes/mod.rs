@@ -3,8 +3,8 @@
 use dril_envs::car_racing::CarRacing;
 use dril_envs::car_racing::driver::drive;
 use dril_envs::car_racing::world::Motion;
-use dril_envs::check::lunar_lander::fly;
 use dril_envs::lunar_lander::LunarLander;
+use dril_envs::lunar_lander::pilot::fly;
 use dril_envs::{
     CarRacingConfig, CarRacingVersion, Demonstrations, Drive, Env, EnvError, Frame, LunarLanderConfig,
     Outcome, Step,

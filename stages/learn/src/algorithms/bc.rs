@@ -1,20 +1,19 @@
 //! `bc`: behaviour cloning with early stopping.
 //!
-//! Only the mean action is fitted. A Gaussian's deviations stay as they began; a Beta's concentration moves along as a
-//! by-product (thesis sections 5.5 and 7.2).
+//! Only the mean action is fitted. A Gaussian's standard deviations stay at their initial values; a Beta's concentration
+//! changes as a side effect (thesis sections 5.5 and 7.2).
 
 use dril_envs::ObservationSpace;
 use dril_kinds::{BcParams, Network};
 use dril_stage_api::{Ctx, Stage, StageError};
 
 use super::imitation::{self, Imitator, Schedule};
-use crate::data::pairs::Pairs;
 use crate::data::split::divide;
+use crate::data::transitions::Transitions;
 use crate::nn::{Batch, Gradients, ParamId, Parameters};
-use crate::policy::{Architecture, OutputGradients, Parts, Policy};
-use crate::spaces;
+use crate::policy::{Architecture, OutputGradients, Parts, Policy, check_family};
 
-/// Runs `bc` stages.
+/// The stage `bc`.
 #[derive(Clone, Copy, Debug)]
 pub struct BcStage;
 
@@ -22,12 +21,12 @@ impl Stage for BcStage {
     type Kind = dril_kinds::Bc;
 
     fn run(params: &BcParams, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
-        let pairs = Pairs::load("demonstrations", ctx.input("demonstrations")?)?;
-        spaces::check_family(pairs.action_space(), params.policy)?;
-        let mut policy = Policy::new(architecture(params, &pairs), &mut ctx.stream("init"))?;
+        let transitions = Transitions::load("demonstrations", ctx.input("demonstrations")?)?;
+        check_family(transitions.action_space(), params.policy)?;
+        let mut policy = Policy::new(architecture(params, &transitions), &mut ctx.stream("init"))?;
         policy.network_mut().set_device(params.device)?;
         let parts =
-            divide(pairs.lengths(), params.validation_fraction, params.split, &mut ctx.stream("split"));
+            divide(transitions.lengths(), params.validation_fraction, params.split, &mut ctx.stream("split"));
         let schedule = Schedule {
             epochs: params.n_epochs,
             patience: Some(params.patience),
@@ -37,23 +36,23 @@ impl Stage for BcStage {
             shuffle: true,
             validation: params.validation,
         };
-        let log = imitation::train(&mut policy, &pairs, &parts, schedule, ctx)?;
+        let log = imitation::train(&mut policy, &transitions, &parts, schedule, ctx)?;
         ctx.write_output("policy", policy.to_bytes()?)?;
         ctx.write_output("log", log.to_csv()?)
     }
 }
 
-fn architecture(params: &BcParams, pairs: &Pairs) -> Architecture {
-    let observation = pairs.observation();
+fn architecture(params: &BcParams, transitions: &Transitions) -> Architecture {
+    let observation = transitions.observation();
     let fitting = match observation {
         ObservationSpace::Image { .. } => Network::DrilCnn,
         ObservationSpace::Vector { .. } => Network::Mlp,
     };
     let network = params.network.unwrap_or(fitting);
-    Architecture { network, family: params.policy, observation, actions: pairs.action_space() }
+    Architecture { network, family: params.policy, observation, actions: transitions.action_space() }
 }
 
-/// An agent learns by its mean action (see [`crate::policy::Row::cloning_loss`]).
+/// A policy is fitted by its mean action (see [`crate::policy::Row::cloning_loss`]).
 impl Imitator for Policy {
     fn params(&self) -> &Parameters {
         Policy::params(self)
@@ -94,7 +93,7 @@ impl Imitator for Policy {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use crate::data::pairs::tests::{image_demos, vector_demos};
+    use crate::data::transitions::tests::{image_demos, vector_demos};
     use dril_stage_api::testing::Bench;
     use dril_stage_api::{Seed, StageError};
     use serde_json::{Value, json};
@@ -108,8 +107,8 @@ pub(crate) mod tests {
         bench.input("demonstrations", &demos, &[])
     }
 
-    /// The same with pictures, in which the grey says what to do.
-    pub(crate) fn picture_bench<S: Stage>(params: Value, seed: u64) -> Bench {
+    /// The same with images, in which the grey says what to do.
+    pub(crate) fn image_bench<S: Stage>(params: Value, seed: u64) -> Bench {
         let bench = Bench::new::<S>(&params, seed).unwrap();
         let demos = bench.folder().join("in.demos");
         let mut shown = image_demos(20, 0.0);
@@ -160,9 +159,9 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn what_pictures_show_is_learnt() {
+    fn what_images_show_is_learnt() {
         let params = json!({ "policy": "beta", "n_epochs": 60, "batch_size": 16, "learning_rate": 1e-3 });
-        let losses = column(&outputs(&picture_bench::<BcStage>(params, 1), &["log"])[0], "best_val_loss");
+        let losses = column(&outputs(&image_bench::<BcStage>(params, 1), &["log"])[0], "best_val_loss");
         let last = losses[losses.len() - 1];
         assert!(last < 0.1 * losses[0], "{losses:?}");
     }
@@ -180,10 +179,11 @@ pub(crate) mod tests {
         let since = losses.iter().rev().position(|loss| *loss == best).unwrap();
         assert_eq!(since, 2);
         let policy = Policy::load("policy", &bench.output("policy").unwrap()).unwrap();
-        let pairs = Pairs::load("demonstrations", &bench.folder().join("in.demos")).unwrap();
+        let transitions = Transitions::load("demonstrations", &bench.folder().join("in.demos")).unwrap();
         let split = dril_kinds::Split::Pairs;
-        let held_out = divide(pairs.lengths(), 0.2, split, &mut Seed(1).stream("split")).validation;
-        let loss = policy.validation_loss(&pairs.observations(&held_out), &pairs.actions(&held_out));
+        let held_out = divide(transitions.lengths(), 0.2, split, &mut Seed(1).stream("split")).validation;
+        let loss =
+            policy.validation_loss(&transitions.observations(&held_out), &transitions.actions(&held_out));
         assert!((loss - best).abs() <= 1e-12 * best, "{loss} is not {best}");
     }
 
@@ -213,7 +213,7 @@ pub(crate) mod tests {
     fn a_training_that_was_stopped_again_and_again_ends_with_the_same_bytes() {
         let whole = outputs(&bench::<BcStage>(params("beta", 4), 1), &["policy", "log"]);
         let stopped = bench::<BcStage>(params("beta", 4), 1);
-        // 120 pairs make 4 batches, so some stops are within an epoch and some between two.
+        // 120 transitions make 4 batches, so some stops are within an epoch and some between two.
         stop_often(&stopped, 7);
         assert_eq!(outputs(&stopped, &["policy", "log"]), whole);
         let saving = bench::<BcStage>(params("beta", 4), 1).checkpoint_seconds(0.0);

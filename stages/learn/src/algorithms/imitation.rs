@@ -1,79 +1,77 @@
-//! Supervised learning of demonstrated actions, pass by pass: what behaviour cloning and the ensemble share.
+//! Supervised learning of demonstrated actions: the training loop of behaviour cloning and the ensemble.
 //!
-//! The whole state between two batches is small (a place, the weights and Adam's moments), so training stops and goes on
-//! after any batch, bit-identically.
+//! The state between two batches is small (counters, weights and Adam's moments), so training can stop after any batch
+//! and continue bit-identically.
 
 use dril_kinds::Validation;
 use dril_stage_api::{Ctx, Seed, StageError, StreamRng};
 use serde::{Deserialize, Serialize};
 
-use crate::data::pairs::Pairs;
-use crate::data::split::{Parts, batching, random_batch, shuffled};
+use crate::data::split::{Partition, batching, random_batch, shuffled};
+use crate::data::transitions::Transitions;
 use crate::nn::{Batch, Gradients, Optimizer, OptimizerSettings, ParamId, Parameters};
 use crate::training::checkpoint::{self, Arrays, foreign};
 use crate::training::log::{Speed, TrainingLog};
 use crate::training::tensorboard::Curves;
 
-/// A network that learns to act as demonstrated.
+/// A network that is fitted to demonstrated actions.
 pub trait Imitator {
-    /// Its weights.
+    /// The weights.
     fn params(&self) -> &Parameters;
-    /// Its weights, to be changed.
+    /// The weights, mutable.
     fn params_mut(&mut self) -> &mut Parameters;
     /// The weights that the loss depends on.
     fn trained(&self) -> Vec<ParamId>;
-    /// The training loss of a batch whose demonstrated actions are `actions`, [rows, numbers in an action]; writes its
-    /// gradients.
+    /// The training loss of a batch with these demonstrated actions, [rows, action values]; writes its gradients.
     fn learn(&self, observations: &Batch, actions: &[f32], gradients: &mut Gradients) -> f64;
-    /// The mean loss over a batch in validation.
+    /// The mean validation loss of a batch.
     fn validation_loss(&self, observations: &Batch, actions: &[f32]) -> f64;
 }
 
-/// The course of a training.
+/// The schedule of a training.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Schedule {
-    /// Passes at most.
+    /// Maximum number of epochs.
     pub epochs: u64,
-    /// Passes without a better validation loss after which training ends with the best weights; without it all passes
-    /// are made and the last weights stay.
+    /// Epochs without a lower validation loss after which training ends with the best weights. None: all epochs are run
+    /// and the last weights are kept.
     pub patience: Option<u64>,
-    /// Pairs in a batch.
+    /// Transitions in a batch.
     pub batch_size: usize,
-    /// Batches are cut to a multiple of this.
+    /// Batch sizes are rounded down to a multiple of this.
     pub slices: usize,
-    /// Adam's step size.
+    /// Learning rate of Adam.
     pub learning_rate: f64,
-    /// True where each pass has an order of its own (from the stream `order/<epoch>` of the stage's seed), false where
-    /// all have that of the list.
+    /// True to shuffle each epoch (by the stream `order/<epoch>` of the stage's seed); false to keep the order of the list.
     pub shuffle: bool,
-    /// Which held-out pairs validate.
+    /// Which held-out transitions are used for validation.
     pub validation: Validation,
 }
 
-/// Pairs in one forward pass of validation.
+/// Transitions in one forward pass of validation.
 const VALIDATION_BATCH: usize = 250;
 
-/// The log's columns: losses are mean squared errors of clamped actions, over the pass's batches as they were learnt from
-/// and over the held-out pairs that count after it.
+/// The log columns. Losses are mean squared errors of clamped actions: over the batches of the epoch, and over the
+/// held-out transitions after it.
 const COLUMNS: [&str; 6] = ["epoch", "step", "train_loss", "val_loss", "best_val_loss", "learning_rate"];
 
-/// Trains `model` on the pairs of `parts` and gives the log; the model then has the best or the last weights (see
+/// Trains `model` on the transitions of `parts` and returns the log; the model then has the best or the last weights (see
 /// [`Schedule::patience`]).
 ///
 /// # Errors
-/// The loss stops being a number, a checkpoint cannot be written or belongs to something else, or
+/// The loss is no longer finite, a checkpoint cannot be written or is from another training, or
 /// [`StageError::Cancelled`] after a checkpoint.
 pub fn train(
     model: &mut impl Imitator,
-    pairs: &Pairs,
-    parts: &Parts,
+    transitions: &Transitions,
+    parts: &Partition,
     schedule: Schedule,
     ctx: &mut Ctx<'_>,
 ) -> Result<TrainingLog, StageError> {
     let batches = batching(parts.train.len(), schedule.batch_size, schedule.slices);
     if batches.0 == 0 {
         return Err(StageError::failed(format!(
-            "there are {} pairs to train on, expected at least {}; give more or longer trajectories",
+            "there are {} transitions to train on, expected at least {}; use more or longer trajectories",
             parts.train.len(),
             schedule.slices
         )));
@@ -85,49 +83,49 @@ pub fn train(
     while !training.ended() {
         let order = training.order(&parts.train, ctx.seed());
         while training.at.batch < batches.0 {
-            training.batch(pairs, &order)?;
+            training.batch(transitions, &order)?;
             training.report(ctx, &speed);
             if training.at.batch < batches.0 {
                 training.save_if_due(ctx)?;
             }
         }
-        training.end_epoch(pairs, &parts.validation, ctx.seed());
+        training.end_epoch(transitions, &parts.validation, ctx.seed());
         curves.last_row(training.at.steps, &training.at.log)?;
         training.save_if_due(ctx)?;
     }
     Ok(training.finish())
 }
 
-/// The place of a training between two batches.
+/// The position of a training between two batches.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-struct Place {
+struct Position {
     epoch: u64,
     /// Batches done in this epoch.
     batch: usize,
-    /// The sum of their losses.
+    /// Sum of their losses.
     loss: f64,
-    /// Adam's steps.
+    /// Optimizer steps.
     steps: u64,
     best: Option<Best>,
     log: TrainingLog,
 }
 
-/// The best validation so far.
+/// The best validation loss so far.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct Best {
     loss: f64,
-    /// Epochs since.
+    /// Epochs since then.
     age: u64,
 }
 
 struct Training<'m, M> {
     model: &'m mut M,
     schedule: Schedule,
-    /// Batches in an epoch, pairs in a batch.
+    /// Batches in an epoch, transitions in a batch.
     batches: (usize, usize),
     optimizer: Optimizer,
     gradients: Gradients,
-    at: Place,
+    at: Position,
     best_weights: Vec<f32>,
 }
 
@@ -136,7 +134,7 @@ impl<'m, M: Imitator> Training<'m, M> {
         let optimizer = Optimizer::new(model.params(), model.trained(), OptimizerSettings::default());
         let gradients = Gradients::new(model.params());
         let log = TrainingLog::new(&COLUMNS);
-        let at = Place { epoch: 0, batch: 0, loss: 0.0, steps: 0, best: None, log };
+        let at = Position { epoch: 0, batch: 0, loss: 0.0, steps: 0, best: None, log };
         Self { model, schedule, batches, optimizer, gradients, at, best_weights: Vec::new() }
     }
 
@@ -148,7 +146,7 @@ impl<'m, M: Imitator> Training<'m, M> {
         self.at.epoch >= self.schedule.epochs || !patient
     }
 
-    /// The order of pairs in this epoch.
+    /// The order of transitions in this epoch.
     fn order(&self, train: &[usize], seed: Seed) -> Vec<usize> {
         match self.schedule.shuffle {
             true => shuffled(train, &mut seed.stream(&format!("order/{}", self.at.epoch))),
@@ -156,12 +154,12 @@ impl<'m, M: Imitator> Training<'m, M> {
         }
     }
 
-    /// Learns from the next batch.
-    fn batch(&mut self, pairs: &Pairs, order: &[usize]) -> Result<(), StageError> {
+    /// Trains on the next batch.
+    fn batch(&mut self, transitions: &Transitions, order: &[usize]) -> Result<(), StageError> {
         let batch = &order[self.at.batch * self.batches.1..][..self.batches.1];
         self.gradients.clear();
-        let seen = pairs.observations(batch);
-        let value = self.model.learn(&seen, &pairs.actions(batch), &mut self.gradients);
+        let seen = transitions.observations(batch);
+        let value = self.model.learn(&seen, &transitions.actions(batch), &mut self.gradients);
         let rate = self.schedule.learning_rate;
         let done = value.is_finite()
             && self.optimizer.norm(&self.gradients).is_finite()
@@ -179,9 +177,9 @@ impl<'m, M: Imitator> Training<'m, M> {
         Ok(())
     }
 
-    /// Validates, keeps the weights if they are the best, writes the epoch's row and goes on to the next.
-    fn end_epoch(&mut self, pairs: &Pairs, validation: &[usize], seed: Seed) {
-        let val_loss = self.validate(pairs, validation, seed);
+    /// Validates, keeps the weights if they are the best so far, and logs the epoch.
+    fn end_epoch(&mut self, transitions: &Transitions, validation: &[usize], seed: Seed) {
+        let val_loss = self.validate(transitions, validation, seed);
         if val_loss.is_some_and(|loss| self.at.best.is_none_or(|best| loss < best.loss)) {
             self.at.best = val_loss.map(|loss| Best { loss, age: 0 });
             if self.schedule.patience.is_some() {
@@ -202,8 +200,8 @@ impl<'m, M: Imitator> Training<'m, M> {
         (self.at.batch, self.at.loss) = (0, 0.0);
     }
 
-    /// The mean loss over the held-out pairs that count; nothing where none are held out.
-    fn validate(&self, pairs: &Pairs, validation: &[usize], seed: Seed) -> Option<f64> {
+    /// The mean loss over the held-out transitions; none if there are none.
+    fn validate(&self, transitions: &Transitions, validation: &[usize], seed: Seed) -> Option<f64> {
         let counted = match self.schedule.validation {
             Validation::All => validation.to_vec(),
             Validation::AsReference => {
@@ -214,7 +212,8 @@ impl<'m, M: Imitator> Training<'m, M> {
         let sum: f64 = counted
             .chunks(VALIDATION_BATCH)
             .map(|batch| {
-                let loss = self.model.validation_loss(&pairs.observations(batch), &pairs.actions(batch));
+                let loss =
+                    self.model.validation_loss(&transitions.observations(batch), &transitions.actions(batch));
                 loss * batch.len() as f64
             })
             .sum();
@@ -224,12 +223,16 @@ impl<'m, M: Imitator> Training<'m, M> {
     fn report(&self, ctx: &mut Ctx<'_>, speed: &Speed) {
         let last = |column| self.at.log.last(column).map_or_else(|| "-".to_owned(), |x| format!("{x:.5}"));
         ctx.progress(self.at.epoch, self.schedule.epochs, "epochs", || {
-            let pairs = speed.at(self.at.steps) * self.batches.1 as f64;
-            format!("loss {}, validation {}, {pairs:.0} pairs/s", last("train_loss"), last("val_loss"))
+            let transitions = speed.at(self.at.steps) * self.batches.1 as f64;
+            format!(
+                "loss {}, validation {}, {transitions:.0} transitions/s",
+                last("train_loss"),
+                last("val_loss")
+            )
         });
     }
 
-    /// Saves where that is due; stops where that is asked for.
+    /// Saves a checkpoint if one is due; stops after it if the stage was cancelled.
     fn save_if_due(&self, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
         if !ctx.checkpoint_due() || self.ended() {
             return Ok(());
@@ -243,7 +246,7 @@ impl<'m, M: Imitator> Training<'m, M> {
     }
 
     fn resume(&mut self, ctx: &Ctx<'_>) -> Result<(), StageError> {
-        let Some((at, mut arrays)) = checkpoint::load::<Place>(ctx.checkpoints())? else { return Ok(()) };
+        let Some((at, mut arrays)) = checkpoint::load::<Position>(ctx.checkpoints())? else { return Ok(()) };
         let all = self.model.params().values().len();
         self.optimizer.restore("optimizer", at.steps, &mut arrays)?;
         if at.batch >= self.batches.0 {
@@ -264,7 +267,7 @@ impl<'m, M: Imitator> Training<'m, M> {
     }
 }
 
-/// The pairs that the reference validates on after a pass: whole batches of the shuffled set, or one batch of it where
+/// The transitions that the reference code validates on after an epoch: full batches of the shuffled set, or one batch if
 /// there are fewer.
 fn whole_batches(validation: &[usize], batch_size: usize, stream: &mut StreamRng) -> Vec<usize> {
     let whole = validation.len() / batch_size.max(1) * batch_size;

@@ -1,9 +1,9 @@
-//! The learning algorithms, one file for each with its whole idea in view.
+//! The learning algorithms, one file each.
 //!
-//! - [`ppo`]: advantages, the clipped loss and the minibatch loop; [`on_policy`]: the loop of rollouts and updates around
-//!   it, with hooks; [`ppo_stage`]: the stage that trains experts.
-//! - [`dril`]: what DRIL adds to that loop.
-//! - [`imitation`]: supervised learning of demonstrated actions; [`bc`] and [`ensemble`]: the networks that do it.
+//! - [`ppo`]: advantages, the clipped loss and the minibatch loop; [`on_policy`]: the loop of rollouts and updates, with
+//!   hooks; [`ppo_stage`]: the stage `ppo`.
+//! - [`dril`]: the hooks of DRIL.
+//! - [`imitation`]: supervised learning of demonstrated actions, the training loop of [`bc`] and [`ensemble`].
 
 pub mod bc;
 pub mod dril;

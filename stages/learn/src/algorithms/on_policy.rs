@@ -1,12 +1,10 @@
-//! On-policy training: rollouts and updates in turn. `ppo` is this loop alone; `dril` hooks into it to make rewards of its
-//! own and to interleave behaviour cloning. What an update does is in [`super::ppo`].
+//! On-policy training: a loop of rollouts and updates. `ppo` is this loop alone; `dril` adds hooks that replace the
+//! rewards and interleave behaviour cloning. The update itself is in [`super::ppo`].
 //!
-//! The whole state can be saved after every single step and minibatch, and training goes on bit-identically.
-
-use std::ops::Range;
+//! The whole state can be saved after every step and every minibatch, and training continues from it bit-identically.
 
 use dril_envs::VecEnv;
-use dril_kinds::{Algorithm, OnDivergence, OnPolicyParams, UpdateSettings};
+use dril_kinds::{Algorithm, OnDivergence, OnPolicyParams, UpdateParams};
 use dril_stage_api::{Ctx, StageError, StreamRng};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
@@ -20,83 +18,86 @@ use crate::training::normalize::RewardNormalizer;
 use crate::training::rollout::{Rollout, Sampler, SamplerSettings, SamplerState};
 use crate::training::tensorboard::Curves;
 
-/// The settings of a training; see [`OnPolicyParams`] for each.
+/// The settings of a training.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
-    /// Environments stepped together.
-    pub n_envs: usize,
-    /// Steps of each between two updates.
-    pub n_steps: usize,
-    /// Environment steps of the whole training, over which the learning rate falls.
-    pub total_timesteps: u64,
-    /// The steps of it that this stage makes.
-    pub steps: Range<u64>,
-    /// The optimizer's step size at the start.
-    pub learning_rate: f64,
-    /// True: it falls linearly to 0.
-    pub anneal_learning_rate: bool,
-    /// Added to the optimizer's denominator.
-    pub adam_epsilon: f64,
-    /// The settings of an update.
-    pub update: UpdateSettings,
-    /// How rollouts are gathered.
-    pub sampler: SamplerSettings,
-    /// True where the environments' rewards are scaled by [`RewardNormalizer::clipped`].
+    /// The stage's parameters for rollouts and training.
+    pub params: OnPolicyParams,
+    /// The stage's parameters for updates.
+    pub update: UpdateParams,
+    /// The algorithm of an update.
+    pub algorithm: Algorithm,
+    /// Environment steps of the whole training that were done before this stage.
+    pub from_step: u64,
+    /// True if vector observations are normalised.
+    pub normalize_observations: bool,
+    /// True if the environments' rewards are scaled by [`RewardNormalizer::clipped`]; hooks that replace the rewards scale
+    /// theirs themselves.
     pub normalize_reward: bool,
     /// What happens when an update diverges.
     pub on_divergence: OnDivergence,
 }
 
 impl Settings {
-    /// Those of `params`, for a whole training.
-    pub fn new(params: &OnPolicyParams, algorithm: Algorithm, on_divergence: OnDivergence) -> Self {
+    /// The settings of a whole training.
+    pub fn new(
+        params: &OnPolicyParams,
+        update: UpdateParams,
+        algorithm: Algorithm,
+        on_divergence: OnDivergence,
+    ) -> Self {
         Self {
-            n_envs: params.n_envs as usize,
-            n_steps: params.n_steps as usize,
-            total_timesteps: params.total_timesteps,
-            steps: 0..params.to_step(),
-            learning_rate: params.learning_rate,
-            anneal_learning_rate: params.anneal_learning_rate,
-            adam_epsilon: params.adam_epsilon,
-            update: params.update(algorithm),
-            sampler: SamplerSettings {
-                mean_action_probability: params.mean_action_probability,
-                bootstrap_time_limits: params.bootstrap_time_limits,
-                normalize_observations: false,
-            },
+            params: params.clone(),
+            update,
+            algorithm,
+            from_step: 0,
+            normalize_observations: false,
             normalize_reward: false,
             on_divergence,
         }
     }
 
+    fn n_envs(&self) -> usize {
+        self.params.n_envs as usize
+    }
+
     fn updates_in(&self, steps: u64) -> u64 {
-        steps / (self.n_envs * self.n_steps) as u64
+        steps / self.params.rollout()
     }
 
     /// The learning rate of update `update` (from 0) of the whole training.
     fn rate(&self, update: u64) -> f64 {
-        let left = 1.0 - update as f64 / self.updates_in(self.total_timesteps) as f64;
-        self.learning_rate * if self.anneal_learning_rate { left } else { 1.0 }
+        let left = 1.0 - update as f64 / self.updates_in(self.params.total_timesteps) as f64;
+        self.params.learning_rate * if self.params.anneal_learning_rate { left } else { 1.0 }
+    }
+
+    /// How rollouts are collected.
+    fn sampler(&self) -> SamplerSettings {
+        SamplerSettings {
+            mean_action_probability: self.params.mean_action_probability,
+            bootstrap_time_limits: self.params.bootstrap_time_limits,
+            normalize_observations: self.normalize_observations,
+        }
     }
 }
 
-/// What an algorithm adds to the loop. Every method does nothing by default.
+/// Hooks by which an algorithm extends the loop. By default, they do nothing.
 pub trait Hooks {
-    /// The part of a checkpoint that is not in arrays.
+    /// State for checkpoints, besides arrays.
     type State: Serialize + DeserializeOwned;
-    /// Columns of the log after those of every training.
+    /// Additional columns of the training log.
     const COLUMNS: &'static [&'static str] = &[];
 
-    /// An episode ended with this score (the environment's own).
+    /// An episode ended with this score, the sum of the environment's rewards.
     fn episode_ended(&mut self, score: f64) {
         let _ = score;
     }
 
-    /// A rollout is complete, played by `policy`; update number `update` (from 0) is about to learn from it. Rewards may
-    /// be replaced. Gives the U-signal of each episode that ended in the rollout, in order, or nothing.
+    /// A rollout of `policy` is complete, and update number `update` (from 0) follows. May replace the rewards. Returns the
+    /// U-signal of each episode that ended in the rollout, in order, or nothing.
     ///
     /// # Errors
-    /// The algorithm's own.
+    /// The algorithm cannot compute its rewards; the training fails.
     fn rollout_ended(
         &mut self,
         rollout: &mut Rollout,
@@ -107,35 +108,35 @@ pub trait Hooks {
         Ok(Vec::new())
     }
 
-    /// The policy has learnt from a minibatch.
+    /// The policy was updated from a minibatch.
     ///
     /// # Errors
-    /// The network has diverged.
+    /// The network diverged.
     fn minibatch_learnt(&mut self, policy: &mut Policy) -> Result<(), LearnError> {
         let _ = policy;
         Ok(())
     }
 
-    /// The update is over.
+    /// The update is complete.
     fn update_ended(&mut self, policy: &Policy) {
         let _ = policy;
     }
 
-    /// The update's values of [`Hooks::COLUMNS`]; not a number where there is none.
+    /// The values of [`Hooks::COLUMNS`] for this update; NaN for an empty cell.
     fn log_row(&mut self) -> Vec<f64> {
         Vec::new()
     }
 
-    /// Adds the state to a checkpoint.
+    /// Saves the state to a checkpoint.
     fn save(&self, arrays: &mut Arrays) -> Self::State;
 }
 
-/// What training gives.
+/// Result of a training.
 #[derive(Debug)]
 pub struct Trained<H> {
-    /// The agent after the last update, or with the last finite weights.
+    /// The policy after the last update, or with the last finite weights.
     pub policy: Policy,
-    /// The hooks as they stand.
+    /// The hooks in their final state.
     pub hooks: H,
     /// One row per update.
     pub log: TrainingLog,
@@ -143,7 +144,7 @@ pub struct Trained<H> {
     pub episodes: EpisodeLog,
 }
 
-/// A training under way.
+/// A training in progress.
 pub struct Training<H> {
     settings: Settings,
     policy: Policy,
@@ -155,24 +156,24 @@ pub struct Training<H> {
     progress: Progress,
 }
 
-/// The rest of a training's state; part of a checkpoint.
+/// The remaining state of a training; part of a checkpoint.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Progress {
-    /// The order of minibatches.
+    /// The stream that shuffles minibatches.
     minibatches: StreamRng,
     updates_done: u64,
-    /// Steps of the rollout under way.
+    /// Steps done in the current rollout.
     t: usize,
-    /// The update under way.
+    /// The current update.
     update: Option<Update>,
-    /// None where rewards stay as they are, or are made by the hooks.
+    /// None if rewards are not scaled, or are replaced by the hooks.
     rewards: Option<RewardNormalizer>,
     scores: RecentScores,
     log: TrainingLog,
     episodes: EpisodeLog,
 }
 
-/// The part of a checkpoint that is not in arrays.
+/// The part of a checkpoint besides arrays.
 #[derive(Serialize, Deserialize)]
 struct State<P, S> {
     sampler: SamplerState,
@@ -181,8 +182,8 @@ struct State<P, S> {
     hooks: S,
 }
 
-/// The log's columns that every on-policy training has. `diverged` is 1 in the last row of a training that ended because
-/// its update diverged, else 0.
+/// The log columns of every on-policy training. `diverged` is 1 in the last row of a training that stopped because its
+/// update diverged, else 0.
 pub const LOG_COLUMNS: [&str; 14] = [
     "update",
     "step",
@@ -201,11 +202,11 @@ pub const LOG_COLUMNS: [&str; 14] = [
 ];
 
 impl<H: Hooks> Training<H> {
-    /// A training at its start, or where its checkpoint left it. `hooks` makes the algorithm's part, from the state of
-    /// the checkpoint where there is one.
+    /// Starts a training, or resumes it from its checkpoint. `hooks` creates the algorithm's hooks, from the state in the
+    /// checkpoint if there is one.
     ///
     /// # Errors
-    /// The environments', the hooks', or a checkpoint of another training.
+    /// An environment or the hooks cannot be started, or the checkpoint is from another training.
     pub fn start(
         settings: Settings,
         policy: Policy,
@@ -239,12 +240,12 @@ impl<H: Hooks> Training<H> {
 
     fn new(settings: Settings, mut policy: Policy, envs: VecEnv, ctx: &Ctx<'_>, hooks: H) -> Self {
         let architecture = policy.architecture();
-        let epsilon = settings.adam_epsilon;
-        let optimizer = match settings.update.algorithm {
+        let epsilon = settings.params.adam_epsilon;
+        let optimizer = match settings.algorithm {
             Algorithm::Ppo => OptimizerSettings { epsilon, ..OptimizerSettings::default() },
             Algorithm::A2c => OptimizerSettings::rmsprop(0.99, epsilon),
         };
-        let normalizer = || RewardNormalizer::clipped(settings.n_envs, settings.update.gamma);
+        let normalizer = || RewardNormalizer::clipped(settings.n_envs(), settings.update.gamma);
         let columns = [&LOG_COLUMNS[..], H::COLUMNS].concat();
         Self {
             optimizer: Optimizer::new(policy.params(), policy.params().ids().collect(), optimizer),
@@ -252,13 +253,13 @@ impl<H: Hooks> Training<H> {
             rollout: Rollout::new(
                 architecture.observation,
                 architecture.action_len(),
-                settings.n_envs,
-                settings.n_steps,
+                settings.n_envs(),
+                settings.params.n_steps as usize,
             ),
-            sampler: Sampler::new(envs, ctx.seed(), settings.sampler, policy.statistics.take()),
+            sampler: Sampler::new(envs, ctx.seed(), settings.sampler(), policy.statistics.take()),
             progress: Progress {
                 minibatches: ctx.stream("minibatch"),
-                updates_done: settings.updates_in(settings.steps.start),
+                updates_done: settings.updates_in(settings.from_step),
                 t: 0,
                 update: None,
                 rewards: settings.normalize_reward.then(normalizer),
@@ -272,15 +273,15 @@ impl<H: Hooks> Training<H> {
         }
     }
 
-    /// The whole training: rollouts and updates in turn until the steps are used up.
+    /// Runs the training to its last step.
     ///
     /// # Errors
-    /// The environments', the hooks', a network that has diverged where that is an error, or a stop on request (after a
-    /// checkpoint).
+    /// An environment or the hooks fail, an update diverges where that is an error, or [`StageError::Cancelled`] after a
+    /// checkpoint.
     pub fn run(mut self, ctx: &mut Ctx<'_>) -> Result<Trained<H>, StageError> {
         let mut curves = Curves::open(ctx)?;
         let speed = Speed::from(self.steps_done());
-        while self.progress.updates_done < self.settings.updates_in(self.settings.steps.end) {
+        while self.progress.updates_done < self.settings.updates_in(self.settings.params.to_step()) {
             self.gather(ctx, speed)?;
             if self.progress.update.is_none() {
                 self.begin_update()?;
@@ -309,9 +310,9 @@ impl<H: Hooks> Training<H> {
                 self.progress.episodes.push(self.steps_done(), self.progress.updates_done, &episode);
             }
             let (done, total, mean) =
-                (self.steps_done(), self.settings.steps.end, self.progress.scores.mean(10));
+                (self.steps_done(), self.settings.params.to_step(), self.progress.scores.mean(10));
             ctx.progress(done, total, "steps", || format!("score {mean:.0}, {:.0} steps/s", speed.at(done)));
-            // Not between a full rollout and its update: what the update is made of is saved with it.
+            // Not between a full rollout and its update: the update is saved with its inputs.
             if self.progress.t < self.rollout.steps {
                 self.save_if_due(ctx)?;
             }
@@ -328,19 +329,19 @@ impl<H: Hooks> Training<H> {
             normalizer.normalize(&mut self.rollout.rewards, &self.rollout.dones);
         }
         let last = self.policy.values(&self.rollout.observations(self.rollout.steps));
-        let UpdateSettings { gamma, gae_lambda, .. } = self.settings.update;
+        let UpdateParams { gamma, gae_lambda, .. } = self.settings.update;
         self.progress.update = Some(Update::new(gae(&self.rollout, &last, gamma, gae_lambda)));
         Ok(())
     }
 
-    /// Learns from the minibatches that are left. The inner error says how the network diverged; its weights are the
-    /// last finite ones.
+    /// Processes the remaining minibatches. The inner error says how the network diverged; it keeps its last finite
+    /// weights.
     fn learn(&mut self, ctx: &mut Ctx<'_>) -> Result<Result<(), String>, StageError> {
         let rate = self.settings.rate(self.progress.updates_done);
         loop {
             let Progress { update, minibatches, .. } = &mut self.progress;
             let Some(update) = update else { return Ok(Ok(())) };
-            let settings = &self.settings.update;
+            let settings = (self.settings.algorithm, &self.settings.update);
             let Some(minibatch) = update.next_minibatch(settings, minibatches) else { return Ok(Ok(())) };
             let (policy, optimizer) = (&mut self.policy, &mut self.optimizer);
             let learner = (policy, optimizer, &mut self.gradients);
@@ -352,7 +353,7 @@ impl<H: Hooks> Training<H> {
         }
     }
 
-    /// Writes the update's row and makes room for the next rollout.
+    /// Logs the update and prepares the next rollout.
     fn end_update(&mut self, diverged: bool) {
         self.hooks.update_ended(&self.policy);
         let stats = self.progress.update.take().map(|update| update.stats(&self.rollout)).unwrap_or_default();
@@ -364,7 +365,7 @@ impl<H: Hooks> Training<H> {
         self.progress.t = 0;
     }
 
-    /// The row of an update, in the order of [`LOG_COLUMNS`].
+    /// The log row of an update, in the order of [`LOG_COLUMNS`].
     fn log_row(&self, stats: &UpdateStats, diverged: bool) -> [f64; 14] {
         let Progress { updates_done, scores, .. } = &self.progress;
         [
@@ -385,7 +386,7 @@ impl<H: Hooks> Training<H> {
         ]
     }
 
-    /// Marks the agent of a training that diverged, or fails, as the settings say.
+    /// Marks the policy of a training that diverged, or fails, depending on the settings.
     fn diverged(&mut self, reason: &str) -> Result<(), StageError> {
         let step = self.steps_done();
         match self.settings.on_divergence {
@@ -400,12 +401,12 @@ impl<H: Hooks> Training<H> {
         }
     }
 
-    /// Environment steps done, those before this stage's first among them.
+    /// Environment steps done, including those before this stage.
     fn steps_done(&self) -> u64 {
         self.progress.updates_done * self.rollout.len() as u64 + (self.progress.t * self.rollout.envs) as u64
     }
 
-    /// Saves a checkpoint where it is time; stops after it where a stop was asked for.
+    /// Saves a checkpoint if one is due; stops after it if the stage was cancelled.
     fn save_if_due(&self, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
         if ctx.checkpoint_due() {
             let mut arrays = Arrays::new();

@@ -1,11 +1,11 @@
-//! Proximal policy optimisation (Schulman et al. 2017), and advantage actor-critic beside it: advantages, losses with
+//! Proximal policy optimisation (PPO; Schulman et al. 2017) and advantage actor-critic (A2C): advantages, losses with
 //! their gradients, and the minibatch loop of an update.
 //!
-//! Losses and their gradients are computed in `f64`, in the order of the samples, with functions whose bits do not depend
-//! on the processor. Where a minimum, a maximum or a clamp has a corner, the gradient is the one that PyTorch passes:
-//! half to each side of equal arguments, all of it on the border of a clamp.
+//! Losses and gradients are computed in `f64`, in sample order, with functions whose bits do not depend on the processor.
+//! At a corner of a minimum, maximum or clamp, the gradient is PyTorch's: half to each of two equal arguments, all of it
+//! at the boundary of a clamp.
 
-use dril_kinds::{Algorithm, UpdateSettings};
+use dril_kinds::{Algorithm, UpdateParams};
 use dril_stage_api::{StreamRng, math};
 use rand::seq::SliceRandom;
 use serde::{Deserialize, Serialize};
@@ -14,12 +14,12 @@ use crate::nn::{Gradients, Optimizer};
 use crate::policy::{Answers, OutputGradients, Parts, Policy, Weights};
 use crate::training::rollout::Rollout;
 
-/// What an update learns from, entry by entry.
+/// Advantages and returns of a rollout, entry by entry.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Advantages {
     /// Generalised advantage estimates.
     pub advantages: Vec<f32>,
-    /// Estimates plus values: what the critic is fitted to.
+    /// Advantages plus values: the targets of the critic.
     pub returns: Vec<f32>,
 }
 
@@ -48,39 +48,39 @@ pub fn gae(rollout: &Rollout, last_values: &[f32], gamma: f64, gae_lambda: f64) 
     Advantages { advantages, returns }
 }
 
-/// What a loss is computed from; one entry for each sample of the minibatch.
+/// Inputs of a loss; one entry for each sample of the minibatch.
 #[derive(Clone, Debug, Default)]
 pub struct LossInputs {
-    /// Log-probabilities of the actions as the policy has them now.
+    /// Log-probabilities of the actions under the current policy.
     pub log_probs: Vec<f64>,
-    /// Its entropies, in nats.
+    /// Entropies of the current policy, in nats.
     pub entropies: Vec<f64>,
-    /// State values as the critic has them now.
+    /// State values of the current critic.
     pub values: Vec<f32>,
-    /// Log-probabilities of the actions when they were drawn.
+    /// Log-probabilities of the actions under the policy that sampled them.
     pub old_log_probs: Vec<f64>,
-    /// State values when they were drawn.
+    /// State values when the actions were sampled.
     pub old_values: Vec<f32>,
-    /// Advantages, normalised; A2C makes its own.
+    /// Normalised advantages; not used by A2C.
     pub advantages: Vec<f32>,
-    /// What the values are fitted to.
+    /// Targets of the values.
     pub returns: Vec<f32>,
 }
 
 /// Every term of a loss.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LossTerms {
-    /// PPO: the clipped surrogate, negated (Schulman et al. 2017, eq. 7). A2C: the mean of −advantage · log-probability.
+    /// PPO: the negative clipped surrogate (Schulman et al. 2017, eq. 7). A2C: the mean of −advantage · log-probability.
     pub policy: f64,
     /// PPO: ½ mean of the larger of the squared errors of the value and of the clipped value. A2C: the mean squared error.
     pub value: f64,
     /// The mean entropy.
     pub entropy: f64,
-    /// policy + `vf_coef` · value − `ent_coef` · entropy: what is minimised.
+    /// policy + `vf_coef` · value − `ent_coef` · entropy: the minimised loss.
     pub total: f64,
-    /// The part of the minibatch whose ratio lies outside 1 ± ε.
+    /// Fraction of the minibatch whose ratio is outside 1 ± ε.
     pub clip_fraction: f64,
-    /// mean(ratio − 1 − ln ratio): an estimate of the divergence from the policy that acted (Schulman 2020).
+    /// mean(ratio − 1 − ln ratio): an estimate of the KL divergence from the policy that acted (Schulman 2020).
     pub approx_kl: f64,
 }
 
@@ -95,47 +95,47 @@ pub struct LossGradients {
     pub entropy: f64,
 }
 
-/// The loss of proximal policy optimisation with clipped values, in the form that all reference codes share. All lists
-/// have one length, which is not 0.
-pub fn ppo_loss(inputs: &LossInputs, settings: &UpdateSettings) -> (LossTerms, LossGradients) {
+/// The loss of PPO with clipped values, in the form shared by all reference codes. All lists have the same, non-zero
+/// length.
+pub fn ppo_loss(inputs: &LossInputs, params: &UpdateParams) -> (LossTerms, LossGradients) {
     let count = inputs.log_probs.len() as f64;
     let mut terms = LossTerms::default();
-    let mut gradients = LossGradients::new(inputs, settings);
+    let mut gradients = LossGradients::new(inputs, params);
     for index in 0..inputs.log_probs.len() {
-        let (surrogate, slope) = surrogate(inputs, index, settings.clip_range, &mut terms);
+        let (surrogate, slope) = surrogate(inputs, index, params.clip_range, &mut terms);
         terms.policy -= surrogate;
         gradients.log_probs.push(-slope / count);
-        let (error, slope) = clipped_error(inputs, index, settings.clip_range);
+        let (error, slope) = clipped_error(inputs, index, params.clip_range);
         terms.value += 0.5 * error;
-        gradients.values.push(settings.vf_coef * 0.5 * slope / count);
+        gradients.values.push(params.vf_coef * 0.5 * slope / count);
         terms.entropy += inputs.entropies[index];
     }
-    (terms.means(count, settings), gradients)
+    (terms.means(count, params), gradients)
 }
 
-/// The loss of advantage actor-critic (Mnih et al. 2016), in the form of the reference: advantages are the returns less
-/// the values as the network has them now, and not normalised. All lists have one length, which is not 0.
-pub fn a2c_loss(inputs: &LossInputs, settings: &UpdateSettings) -> (LossTerms, LossGradients) {
+/// The loss of A2C (Mnih et al. 2016), in the form of the reference code: advantages are the returns minus the current
+/// values, not normalised. All lists have the same, non-zero length.
+pub fn a2c_loss(inputs: &LossInputs, params: &UpdateParams) -> (LossTerms, LossGradients) {
     let count = inputs.log_probs.len() as f64;
     let mut terms = LossTerms::default();
-    let mut gradients = LossGradients::new(inputs, settings);
+    let mut gradients = LossGradients::new(inputs, params);
     for (index, &log_prob) in inputs.log_probs.iter().enumerate() {
-        // The policy's term takes the advantage as a constant.
+        // The policy's term treats the advantage as a constant.
         let advantage = f64::from(inputs.returns[index]) - f64::from(inputs.values[index]);
         terms.policy -= advantage * log_prob;
         gradients.log_probs.push(-advantage / count);
         terms.value += advantage * advantage;
-        gradients.values.push(settings.vf_coef * -2.0 * advantage / count);
+        gradients.values.push(params.vf_coef * -2.0 * advantage / count);
         terms.entropy += inputs.entropies[index];
         terms.approx_kl += divergence(log_prob - inputs.old_log_probs[index]);
     }
-    (terms.means(count, settings), gradients)
+    (terms.means(count, params), gradients)
 }
 
 impl LossGradients {
-    fn new(inputs: &LossInputs, settings: &UpdateSettings) -> Self {
+    fn new(inputs: &LossInputs, params: &UpdateParams) -> Self {
         let count = inputs.log_probs.len();
-        let entropy = -settings.ent_coef / count as f64;
+        let entropy = -params.ent_coef / count as f64;
         Self { log_probs: Vec::with_capacity(count), values: Vec::with_capacity(count), entropy }
     }
 }
@@ -150,26 +150,26 @@ impl LossTerms {
         self.approx_kl += other.approx_kl;
     }
 
-    /// From sums over the samples to means, and their total.
-    fn means(self, count: f64, settings: &UpdateSettings) -> Self {
+    /// Converts sums over the samples to means, and computes the total.
+    fn means(self, count: f64, params: &UpdateParams) -> Self {
         let (policy, value, entropy) = (self.policy / count, self.value / count, self.entropy / count);
         Self {
             policy,
             value,
             entropy,
-            total: policy + value * settings.vf_coef - entropy * settings.ent_coef,
+            total: policy + value * params.vf_coef - entropy * params.ent_coef,
             clip_fraction: self.clip_fraction / count,
             approx_kl: self.approx_kl / count,
         }
     }
 }
 
-/// r − 1 − ln r of the ratio r with that logarithm.
+/// r − 1 − ln r, for the ratio r with this logarithm.
 fn divergence(log_ratio: f64) -> f64 {
     math::exp_m1(log_ratio) - log_ratio
 }
 
-/// min(r A, clamp(r) A) and its derivative for the log-probability; counts the ratio r into the statistics.
+/// min(r A, clamp(r) A) and its derivative with respect to the log-probability; adds the ratio r to the statistics.
 fn surrogate(inputs: &LossInputs, index: usize, clip: f64, terms: &mut LossTerms) -> (f64, f64) {
     let log_ratio = inputs.log_probs[index] - inputs.old_log_probs[index];
     let ratio = math::exp(log_ratio);
@@ -184,11 +184,11 @@ fn surrogate(inputs: &LossInputs, index: usize, clip: f64, terms: &mut LossTerms
     let (plain, clipped) = (ratio * advantage, clamped * advantage);
     let share = share(plain < clipped, plain == clipped);
     let slope = ratio * advantage * (share + (1.0 - share) * inside);
-    // A comparison, not `min`, so that a ratio that is not a number is not hidden.
+    // A comparison, not `min`, so that a NaN ratio is not hidden.
     (if plain < clipped { plain } else { clipped }, slope)
 }
 
-/// max((v − R)², (v′ − R)²) with the clipped value v′, and its derivative for the value v.
+/// max((v − R)², (v′ − R)²) with the clipped value v′, and its derivative with respect to the value v.
 fn clipped_error(inputs: &LossInputs, index: usize, clip: f64) -> (f64, f64) {
     let value = f64::from(inputs.values[index]);
     let old = f64::from(inputs.old_values[index]);
@@ -203,7 +203,7 @@ fn clipped_error(inputs: &LossInputs, index: usize, clip: f64) -> (f64, f64) {
     (if square > clipped_square { square } else { clipped_square }, slope)
 }
 
-/// The part of a gradient that goes to the first of two arguments.
+/// The fraction of a gradient that goes to the first of two arguments.
 fn share(first_chosen: bool, equal: bool) -> f64 {
     match (first_chosen, equal) {
         (true, _) => 1.0,
@@ -212,14 +212,14 @@ fn share(first_chosen: bool, equal: bool) -> f64 {
     }
 }
 
-/// Why a network could not learn from a minibatch. Its weights were not changed.
+/// Why an update from a minibatch failed. The weights were not changed.
 #[derive(Clone, Debug, PartialEq)]
 pub enum LearnError {
     /// The loss or a gradient is not finite; the text says which.
     Diverged(String),
 }
 
-/// Means over the minibatches of an update, and what is known of it as a whole.
+/// Statistics of an update: means over its minibatches, and the explained variance.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct UpdateStats {
     /// See [`LossTerms::policy`].
@@ -236,38 +236,38 @@ pub struct UpdateStats {
     pub explained_variance: f64,
 }
 
-/// An update under way: what it learns from, and the minibatches that are left.
+/// An update in progress: its data, and the remaining minibatches.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Update {
     batch: Advantages,
     /// Advantages with mean 0 and standard deviation 1 over the whole rollout.
     normalized: Vec<f32>,
     epoch: u64,
-    /// The entries of this pass in random order.
+    /// The shuffled entries of this epoch.
     order: Vec<u32>,
-    /// The first entry of `order` that is not used yet.
+    /// Position of the next unused entry in `order`.
     next: usize,
     sums: LossTerms,
     count: u64,
 }
 
 impl Update {
-    /// An update before its first minibatch.
+    /// An update at its start.
     pub fn new(batch: Advantages) -> Self {
         let normalized = normalize(&batch.advantages);
         Self { batch, normalized, epoch: 0, order: Vec::new(), next: 0, sums: LossTerms::default(), count: 0 }
     }
 
-    /// The entries of the next minibatch, in random order without repetition within a pass; what does not fill a
-    /// minibatch at the end of a pass is left out. `None` after the last pass.
+    /// The entries of the next minibatch: shuffled, without repetition within an epoch; a remainder that does not fill a
+    /// minibatch is dropped. `None` after the last epoch.
     pub fn next_minibatch(
         &mut self,
-        settings: &UpdateSettings,
+        (algorithm, params): (Algorithm, &UpdateParams),
         stream: &mut StreamRng,
     ) -> Option<Vec<usize>> {
         let entries = self.normalized.len();
-        let (n_epochs, n_minibatches) = match settings.algorithm {
-            Algorithm::Ppo => (settings.n_epochs, settings.n_minibatches),
+        let (n_epochs, n_minibatches) = match algorithm {
+            Algorithm::Ppo => (params.n_epochs, params.n_minibatches),
             Algorithm::A2c => (1, 1),
         };
         let size = entries / n_minibatches as usize;
@@ -285,7 +285,7 @@ impl Update {
         Some(minibatch)
     }
 
-    /// Learns from one minibatch: loss, gradients, one step of the optimizer with the gradients' common norm limited.
+    /// Updates the policy from one minibatch: loss, gradients, gradient clipping and one optimizer step.
     ///
     /// # Errors
     /// The loss or a gradient is not finite; the weights stay as they were.
@@ -294,18 +294,18 @@ impl Update {
         (policy, optimizer, gradients): (&mut Policy, &mut Optimizer, &mut Gradients),
         rollout: &Rollout,
         minibatch: &[usize],
-        settings: &UpdateSettings,
+        (algorithm, params): (Algorithm, &UpdateParams),
         learning_rate: f64,
     ) -> Result<(), LearnError> {
         let slots: Vec<usize> = minibatch.iter().map(|&entry| rollout.entry_slot(entry)).collect();
         let observations = rollout.frames.gather(&slots);
         let (answers, tape) = policy.forward(&observations, Parts::Both);
         let inputs = self.inputs(policy, &answers, rollout, minibatch);
-        let loss = match settings.algorithm {
+        let loss = match algorithm {
             Algorithm::Ppo => ppo_loss,
             Algorithm::A2c => a2c_loss,
         };
-        let (terms, slopes) = loss(&inputs, settings);
+        let (terms, slopes) = loss(&inputs, params);
         finite("loss", terms.total)?;
         let mut by_output = OutputGradients::new(policy, minibatch.len());
         for (at, &entry) in minibatch.iter().enumerate() {
@@ -317,14 +317,14 @@ impl Update {
         policy.backward(&observations, tape, by_output, gradients);
         let norm = optimizer.norm(gradients);
         finite("norm of the gradients", norm)?;
-        let limit = Some((norm, settings.max_grad_norm));
+        let limit = Some((norm, params.max_grad_norm));
         stepped(optimizer.step(policy.params_mut(), gradients, learning_rate, limit), learning_rate)?;
         self.sums.add(&terms);
         self.count += 1;
         Ok(())
     }
 
-    /// What the loss is computed from.
+    /// Inputs of the loss.
     fn inputs(
         &self,
         policy: &Policy,
@@ -349,7 +349,7 @@ impl Update {
         }
     }
 
-    /// The means over the minibatches so far.
+    /// Statistics over the minibatches so far.
     pub fn stats(&self, rollout: &Rollout) -> UpdateStats {
         let mean = |sum: f64| sum / self.count as f64;
         UpdateStats {
@@ -363,12 +363,12 @@ impl Update {
     }
 }
 
-/// Fails where a number is not finite.
+/// Checks that a number is finite.
 pub(super) fn finite(what: &str, value: f64) -> Result<(), LearnError> {
     if value.is_finite() { Ok(()) } else { Err(LearnError::Diverged(format!("the {what} is {value}"))) }
 }
 
-/// Fails where the optimizer refused its step.
+/// Checks that the optimizer made its step.
 pub(super) fn stepped(done: bool, learning_rate: f64) -> Result<(), LearnError> {
     if done {
         return Ok(());
@@ -376,14 +376,14 @@ pub(super) fn stepped(done: bool, learning_rate: f64) -> Result<(), LearnError> 
     Err(LearnError::Diverged(format!("a step of size {learning_rate} is not finite in single precision")))
 }
 
-/// (A − mean) / (std + 1e-5) over the whole rollout, with the sample standard deviation, as the reference codes do.
+/// (A − mean) / (std + 1e-5) over the whole rollout, with the sample standard deviation, as in the reference code.
 pub fn normalize(advantages: &[f32]) -> Vec<f32> {
     let (mean, variance) = mean_and_variance(advantages.iter().map(|&a| f64::from(a)));
     let std = (variance * advantages.len() as f64 / (advantages.len() as f64 - 1.0).max(1.0)).sqrt();
     advantages.iter().map(|&a| ((f64::from(a) - mean) / (std + 1e-5)) as f32).collect()
 }
 
-/// 1 − Var(returns − values) / Var(returns); not a number where all returns are equal.
+/// 1 − Var(returns − values) / Var(returns); NaN if all returns are equal.
 pub fn explained_variance(values: &[f32], returns: &[f32]) -> f64 {
     let errors = values.iter().zip(returns).map(|(value, target)| f64::from(*target) - f64::from(*value));
     let (_, unexplained) = mean_and_variance(errors);

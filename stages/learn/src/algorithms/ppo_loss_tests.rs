@@ -8,8 +8,7 @@ use super::*;
 #[path = "ppo_oracle_tests.rs"]
 mod oracle_tests;
 
-const SETTINGS: UpdateSettings = UpdateSettings {
-    algorithm: Algorithm::Ppo,
+const PARAMS: UpdateParams = UpdateParams {
     n_epochs: 1,
     n_minibatches: 1,
     clip_range: 0.2,
@@ -64,7 +63,7 @@ fn two() -> Case {
 #[test]
 fn every_term_of_the_loss_equals_its_formula() {
     // Ratios e^0.1 (within ±0.2) and e^-0.5 (below); values move by 0.1 (within) and by -0.5 (beyond).
-    let (terms, gradients) = ppo_loss(&two(), &SETTINGS);
+    let (terms, gradients) = ppo_loss(&two(), &PARAMS);
     let (r0, r1) = (0.1_f64.exp(), (-0.5_f64).exp());
     // A positive advantage takes the smaller of r·A and clip(r)·A: here both unclipped.
     let policy = -(r0 * 2.0 + r1 * 1.5) / 2.0;
@@ -88,7 +87,7 @@ fn every_term_of_the_loss_equals_its_formula() {
 fn a_ratio_beyond_the_clip_in_the_advantages_direction_has_no_gradient() {
     let gradient = |advantage: f32| {
         let case = Case { log_probs: vec![-0.5, -2.0], advantages: vec![advantage, 0.0], ..two() };
-        ppo_loss(&case, &SETTINGS).1.log_probs[0]
+        ppo_loss(&case, &PARAMS).1.log_probs[0]
     };
     assert_eq!(gradient(1.0), 0.0);
     assert!(gradient(-1.0) > 0.0, "the way back is open");
@@ -104,11 +103,11 @@ fn actor_critic_takes_its_advantages_from_the_values_of_now() {
         entropies: vec![0.7, 0.9],
         ..two()
     };
-    let (terms, gradients) = a2c_loss(&case, &SETTINGS);
+    let (terms, gradients) = a2c_loss(&case, &PARAMS);
     // Advantages 2 and −1: −(2·(−1) + (−1)·(−2)) / 2 and (4 + 1) / 2.
     near(terms.policy, 0.0);
     near(terms.value, 2.5);
-    near(terms.total, 2.5 * SETTINGS.vf_coef - 0.8 * SETTINGS.ent_coef);
+    near(terms.total, 2.5 * PARAMS.vf_coef - 0.8 * PARAMS.ent_coef);
     assert_eq!((terms.approx_kl, terms.clip_fraction), (0.0, 0.0));
     assert_eq!(gradients.log_probs, [-1.0, 0.5]);
     assert_eq!(gradients.values, [-1.0, 0.5]);
@@ -123,8 +122,8 @@ fn a_number_that_is_none_reaches_the_total() {
             1 => case.values[1] = f32::NAN,
             _ => case.entropies[0] = f64::NAN,
         }
-        assert!(ppo_loss(&case, &SETTINGS).0.total.is_nan(), "{part}");
-        assert!(a2c_loss(&case, &SETTINGS).0.total.is_nan(), "{part}");
+        assert!(ppo_loss(&case, &PARAMS).0.total.is_nan(), "{part}");
+        assert!(a2c_loss(&case, &PARAMS).0.total.is_nan(), "{part}");
     }
 }
 
@@ -133,7 +132,7 @@ fn every_bit_is_the_same_on_every_machine() {
     let case = Case::random(512, 3);
     let mut hasher = blake3::Hasher::new();
     for loss in [ppo_loss, a2c_loss] {
-        let (terms, gradients) = loss(&case, &SETTINGS);
+        let (terms, gradients) = loss(&case, &PARAMS);
         for value in
             [terms.total, terms.approx_kl].iter().chain(&gradients.log_probs).chain(&gradients.values)
         {

@@ -12,7 +12,7 @@ fn by_torch(case: &Case, a2c: bool) -> ([f64; 6], [Vec<f64>; 3]) {
     let values = single(&case.values).set_requires_grad(true);
     let entropies = Tensor::from_slice(&case.entropies).set_requires_grad(true);
     let (advantages, returns) = (single(&case.advantages), single(&case.returns));
-    let (old_values, clip) = (single(&case.old_values), SETTINGS.clip_range);
+    let (old_values, clip) = (single(&case.old_values), PARAMS.clip_range);
     let log_ratio: Tensor = &log_probs - Tensor::from_slice(&case.old_log_probs);
     let ratio = log_ratio.exp();
     let mean = |tensor: Tensor| tensor.mean(Kind::Double);
@@ -31,7 +31,7 @@ fn by_torch(case: &Case, a2c: bool) -> ([f64; 6], [Vec<f64>; 3]) {
         (-mean(plain.minimum(&clipped)), mean(errors.maximum(&clipped_errors)) * 0.5, outside)
     };
     let entropy = entropies.mean(Kind::Double);
-    let total = &policy + &value * SETTINGS.vf_coef - &entropy * SETTINGS.ent_coef;
+    let total = &policy + &value * PARAMS.vf_coef - &entropy * PARAMS.ent_coef;
     let divergence = mean(&ratio - 1.0 - &log_ratio);
     let leaves = [&log_probs, &values, &entropies];
     let gradients = Tensor::run_backward(&[&total], &leaves, true, false);
@@ -46,7 +46,7 @@ fn terms_and_gradients_equal_those_of_libtorch_in_double_precision() {
         let case = Case::random(154, seed);
         for a2c in [false, true] {
             let loss = if a2c { a2c_loss } else { ppo_loss };
-            let (terms, gradients) = loss(&case, &SETTINGS);
+            let (terms, gradients) = loss(&case, &PARAMS);
             let (wanted, [log_probs, values, entropies]) = by_torch(&case, a2c);
             let LossTerms { policy, value, entropy, total, clip_fraction, approx_kl } = terms;
             let found = [policy, value, entropy, total, clip_fraction, approx_kl];

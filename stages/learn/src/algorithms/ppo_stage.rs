@@ -1,4 +1,4 @@
-//! The stage `ppo`: trains an agent on the environment's own reward. The loop is [`super::on_policy`], the algorithm
+//! The stage `ppo`: trains a policy on the environment's own reward. The loop is [`super::on_policy`], the algorithm
 //! [`super::ppo`].
 
 use dril_envs::VecEnv;
@@ -28,7 +28,7 @@ impl Stage for PpoStage {
     }
 }
 
-/// Trains in these environments and writes the outputs.
+/// Trains in the given environments and writes the outputs.
 fn train(
     params: &PpoParams,
     architecture: Architecture,
@@ -37,9 +37,9 @@ fn train(
 ) -> Result<(), StageError> {
     let mut policy = initial_policy(params, architecture, ctx)?;
     policy.network_mut().set_device(params.on_policy.device)?;
-    let mut settings = Settings::new(&params.on_policy, Algorithm::Ppo, params.on_divergence);
-    settings.steps.start = params.from_step;
-    settings.sampler.normalize_observations = params.normalize_observations;
+    let mut settings = Settings::new(&params.on_policy, params.update, Algorithm::Ppo, params.on_divergence);
+    settings.from_step = params.from_step;
+    settings.normalize_observations = params.normalize_observations;
     settings.normalize_reward = params.on_policy.normalize_reward;
     let training = Training::start(settings, policy, envs, ctx, |_, _| Ok(NoHooks))?;
     let Trained { policy, log, episodes, .. } = training.run(ctx)?;
@@ -48,7 +48,7 @@ fn train(
     ctx.write_output("episodes", episodes.to_csv()?)
 }
 
-/// PPO adds nothing to the loop.
+/// PPO needs no hooks.
 struct NoHooks;
 
 impl Hooks for NoHooks {
@@ -57,7 +57,7 @@ impl Hooks for NoHooks {
     fn save(&self, _: &mut Arrays) {}
 }
 
-/// The agent that training begins with: the one at the input, or a new one.
+/// The initial policy: the one at the input, or a new one.
 fn initial_policy(
     params: &PpoParams,
     architecture: Architecture,
@@ -74,14 +74,13 @@ fn initial_policy(
     let policy = Policy::load("policy", path)?;
     if policy.architecture() != architecture {
         let (seen, wanted) = (policy.architecture(), architecture);
-        let message = format!(
-            "is an agent of {seen:?}, expected {wanted:?}, which `env`, `policy` and `network` ask for"
-        );
+        let message =
+            format!("has the architecture {seen:?}, expected {wanted:?} from `env`, `policy` and `network`");
         return Err(StageError::input("policy", path, message));
     }
     if policy.statistics.is_some() != params.normalize_observations {
-        let message = "has other statistics of observations than `normalize_observations` asks for; set that field as in \
-                       the stage that made the agent";
+        let message = "was trained with another setting of `normalize_observations`; set it as in the stage that made the \
+                       policy";
         return Err(StageError::input("policy", path, message));
     }
     Ok(policy)

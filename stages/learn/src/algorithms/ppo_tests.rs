@@ -13,27 +13,17 @@ mod losses;
 
 #[test]
 fn actor_critic_learns_once_from_the_whole_rollout_with_plain_advantages() {
-    let settings = UpdateSettings { algorithm: Algorithm::A2c, n_epochs: 7, n_minibatches: 5, ..settings() };
+    let settings = (Algorithm::A2c, &UpdateParams { n_epochs: 7, n_minibatches: 5, ..params() });
     let batch = Advantages { advantages: vec![0.5; 10], returns: vec![1.0; 10] };
     let (mut update, mut stream) = (Update::new(batch), Seed(1).stream("minibatch"));
-    let mut all = update.next_minibatch(&settings, &mut stream).unwrap();
+    let mut all = update.next_minibatch(settings, &mut stream).unwrap();
     all.sort_unstable();
     assert_eq!(all, (0..10).collect::<Vec<_>>());
-    assert_eq!(update.next_minibatch(&settings, &mut stream), None);
+    assert_eq!(update.next_minibatch(settings, &mut stream), None);
 }
 
-fn settings() -> UpdateSettings {
-    UpdateSettings {
-        algorithm: Algorithm::Ppo,
-        n_epochs: 3,
-        n_minibatches: 4,
-        clip_range: 0.2,
-        ent_coef: 0.01,
-        vf_coef: 0.5,
-        max_grad_norm: 0.5,
-        gamma: 0.99,
-        gae_lambda: 0.95,
-    }
+fn params() -> UpdateParams {
+    UpdateParams { n_epochs: 3, n_minibatches: 4, ent_coef: 0.01, ..UpdateParams::default() }
 }
 
 proptest! {
@@ -41,22 +31,22 @@ proptest! {
     fn each_pass_uses_every_entry_at_most_once_and_leaves_out_less_than_a_minibatch_each(
         entries in 4_usize..60, n_minibatches in 1_u64..5
     ) {
-        let settings = UpdateSettings { n_minibatches, ..settings() };
+        let params = UpdateParams { n_minibatches, ..params() };
         let mut stream = Seed(1).stream("minibatch");
         let advantages = vec![1.0; entries];
         let mut update = Update::new(Advantages { returns: advantages.clone(), advantages });
         let size = entries / n_minibatches as usize;
-        for _ in 0..settings.n_epochs {
+        for _ in 0..params.n_epochs {
             let mut seen = BTreeSet::new();
             for _ in 0..entries / size {
-                let minibatch = update.next_minibatch(&settings, &mut stream).unwrap();
+                let minibatch = update.next_minibatch((Algorithm::Ppo, &params), &mut stream).unwrap();
                 prop_assert_eq!(minibatch.len(), size);
                 seen.extend(minibatch);
             }
             prop_assert_eq!(seen.len(), entries / size * size);
             prop_assert!(seen.iter().all(|&entry| entry < entries));
         }
-        prop_assert!(update.next_minibatch(&settings, &mut stream).is_none());
+        prop_assert!(update.next_minibatch((Algorithm::Ppo, &params), &mut stream).is_none());
     }
 }
 
@@ -65,7 +55,7 @@ fn passes_have_different_orders() {
     let mut stream = Seed(1).stream("minibatch");
     let mut update = Update::new(Advantages { advantages: vec![0.0; 40], returns: vec![0.0; 40] });
     let passes: Vec<Vec<usize>> =
-        (0..12).filter_map(|_| update.next_minibatch(&settings(), &mut stream)).collect();
+        (0..12).filter_map(|_| update.next_minibatch((Algorithm::Ppo, &params()), &mut stream)).collect();
     assert_ne!(passes[0], passes[4]);
 }
 

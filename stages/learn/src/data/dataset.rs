@@ -1,10 +1,10 @@
-//! `dataset`: the first episodes of a recording, with actions that imitators can learn from.
+//! `dataset`: the first episodes of a recording, with actions in the requested range.
 
 use dril_envs::{ActionRange as Recorded, ActionSpace, Demonstrations};
 use dril_kinds::{ActionRange, DatasetParams};
 use dril_stage_api::{Ctx, Stage, StageError};
 
-/// Runs `dataset` stages.
+/// The stage `dataset`.
 #[derive(Clone, Copy, Debug)]
 pub struct DatasetStage;
 
@@ -23,26 +23,28 @@ impl Stage for DatasetStage {
         if let ActionSpace::Discrete { .. } = space
             && params.actions != ActionRange::Raw
         {
-            return Err(wrong("holds choices, which have no range; set `actions` to `raw`".to_owned()));
+            return Err(wrong(
+                "has discrete actions, which have no range; set `actions` to `raw`".to_owned(),
+            ));
         }
         let demos = with_range(demos, params.actions).map_err(wrong)?;
         demos.write(ctx.output(PORT)?).map_err(StageError::failed)
     }
 }
 
-/// The first `count` episodes, so that smaller sets are part of larger ones.
+/// The first `count` episodes, so that smaller datasets are subsets of larger ones.
 fn first(mut demos: Demonstrations, count: usize) -> Result<Demonstrations, String> {
     let seen = demos.episodes.len();
     if seen < count {
         return Err(format!(
-            "has {seen} episodes, expected at least {count} (`trajectories`); record more or take fewer"
+            "has {seen} episodes, expected at least {count} (`trajectories`); record more, or lower `trajectories`"
         ));
     }
     demos.episodes.truncate(count);
     Ok(demos)
 }
 
-/// Brings actions into the range that is asked for.
+/// Brings actions into the requested range.
 fn with_range(mut demos: Demonstrations, range: ActionRange) -> Result<Demonstrations, String> {
     for (index, episode) in demos.episodes.iter_mut().enumerate() {
         if episode.actions.iter().any(|action| action.is_nan()) {
@@ -55,8 +57,8 @@ fn with_range(mut demos: Demonstrations, range: ActionRange) -> Result<Demonstra
             ActionRange::Bounded => {
                 if let Some(action) = episode.actions.iter().find(|action| action.abs() > 1.0) {
                     return Err(format!(
-                        "episode {index} has an action of {action}, expected all within [-1, 1]; take `clipped` \
-                         for `actions`, or record an agent whose actions are bounded"
+                        "episode {index} has an action of {action}, expected all within [-1, 1]; set `actions` to \
+                         `clipped`, or record a policy with bounded actions"
                     ));
                 }
             }
@@ -74,7 +76,7 @@ fn with_range(mut demos: Demonstrations, range: ActionRange) -> Result<Demonstra
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::data::pairs::tests::image_demos;
+    use crate::data::transitions::tests::image_demos;
     use dril_stage_api::testing::Bench;
     use serde_json::json;
 

@@ -1,8 +1,8 @@
-//! What agents have seen, kept once: single frames as bytes, from which stacks are gathered for each minibatch.
+//! Frame storage: each frame is stored once, as bytes, and stacks are gathered for each minibatch.
 //!
-//! A buffer of stacks in floating point would take sixteen times the memory. A frame's predecessor lies in the slot
-//! before it, and each slot knows how many frames of its own episode precede it, so a stack never reaches into another
-//! episode: planes before the first frame are black, as in the reference.
+//! A buffer of stacks in floating point would take sixteen times the memory. A frame's predecessor is in the slot before
+//! it, and each slot records how many frames of its own episode precede it, so that a stack never contains frames of
+//! another episode: frames before the first are black, as in the reference code.
 
 use dril_envs::{Frame, ObservationSpace};
 use dril_stage_api::StageError;
@@ -20,7 +20,7 @@ pub struct FrameStore {
     bytes: Vec<u8>,
     /// Vectors, one slot after the other; empty for frames.
     numbers: Vec<f32>,
-    /// How many frames of the same episode precede each one, at most one less than the stack.
+    /// Number of preceding frames of the same episode, at most one less than the stack.
     ages: Vec<u8>,
 }
 
@@ -30,29 +30,29 @@ impl FrameStore {
         Self { observation, bytes: Vec::new(), numbers: Vec::new(), ages: Vec::new() }
     }
 
-    /// A store with that many empty slots, to be filled by [`FrameStore::set`].
+    /// A store with this many empty slots, to be filled by [`FrameStore::set`].
     pub fn with_slots(observation: ObservationSpace, slots: usize) -> Self {
         let mut store = Self::new(observation);
         store.resize(slots);
         store
     }
 
-    /// What the slots hold.
+    /// Observation space of the slots.
     pub fn observation(&self) -> ObservationSpace {
         self.observation
     }
 
-    /// How many slots there are.
+    /// Number of slots.
     pub fn len(&self) -> usize {
         self.ages.len()
     }
 
-    /// True where there is no slot.
+    /// True if there is no slot.
     pub fn is_empty(&self) -> bool {
         self.ages.is_empty()
     }
 
-    /// Appends a frame and gives its slot. `first`: an episode starts with it.
+    /// Appends a frame and returns its slot. `first`: the frame starts an episode.
     pub fn push(&mut self, frame: Frame<'_>, first: bool) -> usize {
         let slot = self.len();
         self.resize(slot + 1);
@@ -60,8 +60,8 @@ impl FrameStore {
         slot
     }
 
-    /// Puts a frame into a slot. `first`: an episode starts with it; otherwise the frame before it must lie in the slot
-    /// before. The frame has the size that the store was made for.
+    /// Writes a frame to a slot. `first`: the frame starts an episode; otherwise the previous frame must be in the slot
+    /// before. The frame must have the size of the store's observation space.
     pub fn set(&mut self, slot: usize, frame: Frame<'_>, first: bool) {
         let deepest = self.observation.stack().saturating_sub(1) as u8;
         self.ages[slot] = if first || slot == 0 { 0 } else { (self.ages[slot - 1] + 1).min(deepest) };
@@ -78,7 +78,7 @@ impl FrameStore {
         }
     }
 
-    /// As [`FrameStore::set`], with vectors scaled by the statistics, where there are any.
+    /// As [`FrameStore::set`], with vectors normalised by the statistics, if given.
     pub fn set_scaled(
         &mut self,
         slot: usize,
@@ -94,16 +94,16 @@ impl FrameStore {
         }
     }
 
-    /// Makes room at `newest` in a window of `count` slots that ends there: every slot moves one back, the oldest falls
-    /// out.
+    /// Frees the slot `newest` at the end of a window of `count` slots: all frames move back by one, and the oldest is
+    /// dropped.
     pub fn shift(&mut self, newest: usize, count: usize) {
         if count > 1 {
             self.carry(newest, count - 1, newest + 1 - count);
         }
     }
 
-    /// Copies the newest `count` slots up to and including `last`, with their ages, to the slots from `to` on: where a
-    /// buffer is filled anew, its stacks go on.
+    /// Copies the `count` slots up to and including `last` to the slots from `to` on, so that stacks continue when a buffer
+    /// is refilled.
     pub fn carry(&mut self, last: usize, count: usize, to: usize) {
         let from = last + 1 - count;
         self.ages.copy_within(from..=last, to);
@@ -112,7 +112,7 @@ impl FrameStore {
         self.numbers.copy_within(from * numbers..(last + 1) * numbers, to * numbers);
     }
 
-    /// The observations whose newest frames lie in `slots`, as a network takes them.
+    /// The observations whose newest frames are in `slots`, as a batch.
     pub fn gather(&self, slots: &[usize]) -> Batch {
         let rows = slots.len();
         match self.observation {
@@ -129,17 +129,17 @@ impl FrameStore {
         }
     }
 
-    /// Adds its content to a checkpoint, under names that begin with `name`.
+    /// Saves the content to a checkpoint, under names that start with `name`.
     pub fn save(&self, name: &str, arrays: &mut Arrays) {
         arrays.put(&format!("{name}.bytes"), self.bytes.clone());
         arrays.put_f32(&format!("{name}.numbers"), &self.numbers);
         arrays.put(&format!("{name}.ages"), self.ages.clone());
     }
 
-    /// Takes its content from a checkpoint.
+    /// Restores the content from a checkpoint.
     ///
     /// # Errors
-    /// The checkpoint is of a store of another size.
+    /// The checkpoint is from a store of another size.
     pub fn restore(&mut self, name: &str, arrays: &mut Arrays) -> Result<(), StageError> {
         let numbers = arrays.take_f32(&format!("{name}.numbers"), self.numbers.len())?;
         let (bytes, ages) = (arrays.take(&format!("{name}.bytes"))?, arrays.take(&format!("{name}.ages"))?);
@@ -157,7 +157,7 @@ impl FrameStore {
         for (bytes, &slot) in bytes.chunks_exact_mut(len).zip(slots) {
             for position in 0..stack {
                 let back = stack - 1 - position;
-                // Planes before the episode's first frame stay black.
+                // Frames before the start of the episode stay black.
                 if back <= usize::from(self.ages[slot]) {
                     let frame = &self.bytes[(slot - back) * size..][..size];
                     layout::spread(frame, &mut bytes[position * layout::BLOCK_LEN..], stride);

@@ -1,6 +1,6 @@
-//! Demonstrations and frames as algorithms read them.
+//! Training data: demonstrations, their split, and frames.
 
 pub mod dataset;
 pub mod frames;
-pub mod pairs;
 pub mod split;
+pub mod transitions;

@@ -1,7 +1,7 @@
-//! Which (state, action) pairs are learnt from, which validate, in which order and in which batches: pure functions over
-//! lists of pair numbers, with every random choice drawn from a stream that the caller names.
+//! Training and validation split, order and batches: pure functions over lists of transition numbers, with all random
+//! choices drawn from a given stream.
 //!
-//! A pair's number counts through all episodes of the demonstrations in order, from 0.
+//! Transitions are numbered from 0 through all episodes of the demonstrations, in order.
 
 use dril_kinds::Split;
 use dril_stage_api::StreamRng;
@@ -10,37 +10,38 @@ use rand::seq::SliceRandom;
 
 /// Pair numbers of the two parts.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Parts {
-    /// The pairs to learn from; never empty.
+pub struct Partition {
+    /// The training set; never empty.
     pub train: Vec<usize>,
-    /// The pairs to validate on; may be empty.
+    /// The validation set; may be empty.
     pub validation: Vec<usize>,
 }
 
-/// Divides the pairs of trajectories with these `lengths`, numbered through, so that about `fraction` (0..1) of them
-/// validate.
+/// Splits the transitions of trajectories with these `lengths`, so that about `fraction` (0..1) of them are held out for
+/// validation.
 ///
-/// - [`Split::Pairs`]: a random permutation; the first ⌊n·(1 − fraction)⌋ pairs train (at least one).
-/// - [`Split::Trajectories`]: trajectories in random order validate as long as that brings their share nearer to
-///   `fraction`: at least one where `fraction` is above 0, never all. Of one trajectory, a block at a random place.
-pub fn divide(lengths: &[usize], fraction: f64, split: Split, rng: &mut StreamRng) -> Parts {
+/// - [`Split::Pairs`]: a random permutation; the first ⌊n·(1 − fraction)⌋ transitions train (at least one).
+/// - [`Split::Trajectories`]: trajectories in random order are held out as long as that brings their share closer to
+///   `fraction`: at least one if `fraction` is above 0, never all. Of a single trajectory, a contiguous block at a random
+///   position.
+pub fn divide(lengths: &[usize], fraction: f64, split: Split, rng: &mut StreamRng) -> Partition {
     let count = lengths.iter().sum();
     match split {
         Split::Pairs => {
             let mut order = permutation(count, rng);
             let validation = order.split_off(training_size(count, fraction));
-            Parts { train: order, validation }
+            Partition { train: order, validation }
         }
         Split::Trajectories if lengths.len() < 2 => {
             let held_out = count - training_size(count, fraction);
             let from = rng.random_range(0..=(count - held_out) as u64) as usize;
-            by_membership(count, |pair| (from..from + held_out).contains(&pair))
+            by_membership(count, |transition| (from..from + held_out).contains(&transition))
         }
         Split::Trajectories => whole_trajectories(lengths, fraction, rng),
     }
 }
 
-/// Pairs left for training: the part that is not held out, rounded down, and at least one.
+/// Transitions left for training: the part that is not held out, rounded down, and at least one.
 fn training_size(count: usize, fraction: f64) -> usize {
     let exact = count as f64 * (1.0 - fraction);
     // 100·(1 − 0.2) is 80.0 and 10·(1 − 0.1) is 9.0, but some products fall short by an ulp; they mean the whole number.
@@ -49,7 +50,7 @@ fn training_size(count: usize, fraction: f64) -> usize {
     (size as usize).max(1).min(count)
 }
 
-fn whole_trajectories(lengths: &[usize], fraction: f64, rng: &mut StreamRng) -> Parts {
+fn whole_trajectories(lengths: &[usize], fraction: f64, rng: &mut StreamRng) -> Partition {
     let wanted = fraction * lengths.iter().sum::<usize>() as f64;
     let mut held_out = vec![false; lengths.len()];
     let mut taken = 0;
@@ -67,20 +68,20 @@ fn whole_trajectories(lengths: &[usize], fraction: f64, rng: &mut StreamRng) -> 
     }
     let owner: Vec<usize> =
         lengths.iter().enumerate().flat_map(|(at, length)| std::iter::repeat_n(at, *length)).collect();
-    by_membership(owner.len(), |pair| held_out[owner[pair]])
+    by_membership(owner.len(), |transition| held_out[owner[transition]])
 }
 
-fn by_membership(count: usize, validates: impl Fn(usize) -> bool) -> Parts {
-    let (validation, train) = (0..count).partition(|pair| validates(*pair));
-    Parts { train, validation }
+fn by_membership(count: usize, validates: impl Fn(usize) -> bool) -> Partition {
+    let (validation, train) = (0..count).partition(|transition| validates(*transition));
+    Partition { train, validation }
 }
 
-/// The numbers below `count` in random order.
+/// The numbers below `count`, in random order.
 pub fn permutation(count: usize, rng: &mut StreamRng) -> Vec<usize> {
     shuffled(&(0..count).collect::<Vec<_>>(), rng)
 }
 
-/// The elements of `of` in random order.
+/// The elements of `of`, in random order.
 pub fn shuffled(of: &[usize], rng: &mut StreamRng) -> Vec<usize> {
     let mut order = of.to_vec();
     order.shuffle(rng);
@@ -89,21 +90,20 @@ pub fn shuffled(of: &[usize], rng: &mut StreamRng) -> Vec<usize> {
 
 /// `draws` elements of `of`, drawn with replacement.
 pub fn with_replacement(of: &[usize], draws: usize, rng: &mut StreamRng) -> Vec<usize> {
-    // Drawn as u64: the width of usize must not decide what is drawn.
+    // Drawn as u64, so that the draws do not depend on the width of usize.
     (0..draws).map(|_| of[rng.random_range(0..of.len() as u64) as usize]).collect()
 }
 
-/// How a pass over `count` pairs is cut into batches: (batches, pairs in each). What is left over at the end of a pass is
-/// left out; fewer pairs than one batch are one batch, cut to a multiple of `slices`.
+/// How an epoch over `count` transitions is divided into batches: (number of batches, batch size). A remainder is dropped;
+/// fewer transitions than one batch form one batch, rounded down to a multiple of `slices`.
 pub fn batching(count: usize, batch_size: usize, slices: usize) -> (usize, usize) {
     let size = batch_size.min(count) / slices * slices;
     (count.checked_div(size).unwrap_or(0), size)
 }
 
-/// `batch_size` different elements of `of` in random order, or all of them where there are fewer.
+/// `batch_size` distinct elements of `of` in random order, or all of them if there are fewer.
 ///
-/// Each call draws afresh: where one batch is taken at a time, a pass over the data has no end to wait for, and the
-/// stream is the whole state.
+/// Each call draws independently, so that the stream is the whole state.
 pub fn random_batch(of: &[usize], batch_size: usize, rng: &mut StreamRng) -> Vec<usize> {
     let drawn = rand::seq::index::sample(rng, of.len(), batch_size.min(of.len()));
     drawn.into_iter().map(|at| of[at]).collect()
@@ -134,7 +134,7 @@ mod tests {
     fn four_fifths_of_the_pairs_train() {
         let parts = divide(&[60, 40], 0.2, Split::Pairs, &mut stream());
         assert_eq!((parts.train.len(), parts.validation.len()), (80, 20));
-        assert_ne!(parts.train, (0..80).collect::<Vec<_>>(), "the pairs are in random order");
+        assert_ne!(parts.train, (0..80).collect::<Vec<_>>(), "the transitions are in random order");
     }
 
     #[test]
@@ -142,14 +142,14 @@ mod tests {
         let parts = divide(&[10, 10, 10, 10, 10], 0.2, Split::Trajectories, &mut stream());
         assert_eq!(parts.validation.len(), 10);
         assert_eq!(parts.validation[0] % 10, 0);
-        assert!(parts.validation.windows(2).all(|pair| pair[1] == pair[0] + 1));
+        assert!(parts.validation.windows(2).all(|two| two[1] == two[0] + 1));
     }
 
     #[test]
     fn of_one_trajectory_a_block_validates() {
         let parts = divide(&[50], 0.2, Split::Trajectories, &mut stream());
         assert_eq!(parts.validation.len(), 10);
-        assert!(parts.validation.windows(2).all(|pair| pair[1] == pair[0] + 1));
+        assert!(parts.validation.windows(2).all(|two| two[1] == two[0] + 1));
     }
 
     #[test]
@@ -180,7 +180,7 @@ mod tests {
             batch.sort_unstable();
             batch.dedup();
             assert_eq!(batch.len(), 12);
-            assert!(batch.iter().all(|pair| of.contains(pair)));
+            assert!(batch.iter().all(|transition| of.contains(transition)));
         }
         assert_eq!(random_batch(&of, 100, &mut rng).len(), 20);
     }
@@ -207,7 +207,7 @@ mod tests {
         ) {
             let drawn = with_replacement(&of, draws, &mut Seed(seed).stream("bootstrap"));
             prop_assert_eq!(drawn.len(), draws);
-            prop_assert!(drawn.iter().all(|pair| of.contains(pair)));
+            prop_assert!(drawn.iter().all(|transition| of.contains(transition)));
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Every path gives the same bits, and they are those of the sums that the modules document.
 
-use super::{activation, adam, conv, dense, forced, layout, path, paths};
+use super::{activation, conv, dense, forced, layout, optimizer, path, paths};
 
 /// Numbers without a pattern that a wrong index could meet by chance.
 fn numbers(len: usize, seed: u32) -> Vec<f32> {
@@ -265,7 +265,8 @@ fn elementwise_functions_give_the_same_bits_on_every_path() {
         let special = [f32::NAN, f32::INFINITY, -f32::INFINITY, 0.0, -0.0, 1e-40, -1e-40];
         let odd = [odd, special.to_vec()].concat();
         let other = numbers(odd.len(), 2);
-        let with = adam::Step { scale: 0.7, beta1: 0.9, beta2: 0.999, rate: 3e-3, root: 1.7, epsilon: 1e-5 };
+        let with =
+            optimizer::Step { scale: 0.7, beta1: 0.9, beta2: 0.999, rate: 3e-3, root: 1.7, epsilon: 1e-5 };
         on_all_paths("elementwise", || {
             let (mut relu, mut tanh) = (odd.clone(), odd.clone());
             activation::relu(&mut relu);
@@ -275,11 +276,11 @@ fn elementwise_functions_give_the_same_bits_on_every_path() {
             activation::tanh_gradient(&tanh, &mut of_tanh);
             let (mut value, mut m) = (other.clone(), other.clone());
             let mut v: Vec<f32> = other.iter().map(|x| x * x).collect();
-            adam::step(&mut value, &mut m, &mut v, &odd, with);
+            optimizer::step(&mut value, &mut m, &mut v, &odd, with);
             let mut widened = vec![0.0; len];
             let bytes: Vec<u8> = (0..len).map(|at| (at * at % 256) as u8).collect();
             layout::widen(&bytes, &mut widened);
-            let squares = adam::sum_of_squares(&other);
+            let squares = optimizer::sum_of_squares(&other);
             let squares = vec![squares as f32, (squares - f64::from(squares as f32)) as f32];
             let mut sums = vec![0.0; 71];
             activation::sum_rows(&other, &mut sums);

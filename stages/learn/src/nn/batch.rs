@@ -1,4 +1,4 @@
-//! A batch of observations as a network takes it.
+//! A batch of observations, the input of a network.
 
 /// Observations, one row each.
 #[derive(Clone, Debug, PartialEq)]
@@ -6,14 +6,14 @@ pub enum Batch {
     /// Stacks of frames as bytes in blocks of 4×4 pixels (see [`crate::kernels::layout`]):
     /// [rows, height / 4, width / 4, stack · 16].
     Images {
-        /// How many observations there are.
+        /// Number of observations.
         rows: usize,
         /// Their bytes, 0..=255.
         bytes: Vec<u8>,
     },
     /// Vectors: [rows, len].
     Vectors {
-        /// How many observations there are.
+        /// Number of observations.
         rows: usize,
         /// Their numbers.
         numbers: Vec<f32>,
@@ -21,7 +21,7 @@ pub enum Batch {
 }
 
 impl Batch {
-    /// How many observations there are.
+    /// Number of observations.
     pub fn rows(&self) -> usize {
         match self {
             Self::Images { rows, .. } | Self::Vectors { rows, .. } => *rows,
@@ -37,7 +37,7 @@ impl Batch {
     }
 }
 
-/// What a layer computes from, row by row.
+/// The input of a layer, row by row.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Input<'a> {
     /// Images of bytes: the first convolution only.
@@ -61,7 +61,7 @@ impl<'a> Input<'a> {
         }
     }
 
-    /// The numbers; none where the input is bytes.
+    /// The numbers; empty if the input is bytes.
     pub(super) fn numbers(self) -> &'a [f32] {
         match self {
             Self::Bytes(_) => &[],

@@ -1,4 +1,4 @@
-//! A convolution of a network: between the weights as PyTorch keeps them and the panels that the kernels take.
+//! A convolution layer: converts between PyTorch's layout of weights and the panels of the kernels.
 
 use crate::kernels::{conv, layout};
 
@@ -7,14 +7,14 @@ use crate::kernels::{conv, layout};
 pub struct Convolution {
     /// As the kernels see it.
     pub shape: conv::Shape,
-    /// For each number of a window, where its weight stands among those of a filter, [channels, kernel, kernel].
+    /// For each number of a window, the index of its weight within a filter, [channels, kernel, kernel].
     places: Vec<u32>,
-    /// What weights are multiplied by.
+    /// Factor on the weights.
     scale: f32,
 }
 
 impl Convolution {
-    /// A convolution over pictures with the channels last.
+    /// A convolution over images with the channels last.
     pub fn new(shape: conv::Shape) -> Self {
         let conv::Shape { channels, kernel, .. } = shape;
         let place = |at: usize| {

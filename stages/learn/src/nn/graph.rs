@@ -1,36 +1,36 @@
-//! A network as a graph: parts that compute their layers from the observations or from another part.
+//! A network as a graph of nodes, each a sequence of layers applied to the observations or to another node's output.
 //!
-//! Actor, critic and heads of an agent share one encoder, and so do the members of an ensemble; both are graphs of this
-//! kind, and both backends ([`super::native`], [`super::torch`]) walk over them in the same way.
+//! Actor, critic and heads of a policy share one encoder, and so do the members of an ensemble; both are such graphs, and
+//! both backends ([`super::native`], [`super::torch`]) evaluate them in the same way.
 
 use std::ops::Range;
 
-use super::Sequential;
+use super::layers::Sequential;
 
-/// The position of a part in its graph.
+/// Index of a node in its graph.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct NodeId(pub(super) usize);
 
-/// The parts of a network; each comes after the one that it computes from.
+/// The nodes of a network; each comes after its source.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Graph {
     pub(super) nodes: Vec<Node>,
 }
 
-/// A part of a network; it has at least one layer.
+/// A node of a network; it has at least one layer.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Node {
-    /// Where its input comes from; none: the observations.
+    /// The node that its input comes from; none: the observations.
     pub(super) source: Option<usize>,
     pub(super) layers: Sequential,
 }
 
-/// An output that is asked for: a part, and the rows of the batch that it sees.
+/// A requested output: a node, and the rows of the batch to compute it for.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Wanted {
-    /// The part.
+    /// The node.
     pub node: NodeId,
-    /// The rows; a part that others compute from sees all of them.
+    /// The rows; a source of other nodes is computed for all rows.
     pub rows: Range<usize>,
 }
 
@@ -40,7 +40,7 @@ impl Graph {
         NodeId(self.nodes.len() - 1)
     }
 
-    /// The rows that each part has to compute so that the outputs asked for can be; none where it need not run.
+    /// The rows for which each node has to be computed, to get the requested outputs; none if it is not needed.
     pub(super) fn needed(&self, wanted: &[Wanted], rows: usize) -> Vec<Option<Range<usize>>> {
         let mut needed = vec![None; self.nodes.len()];
         for Wanted { node, rows } in wanted {

@@ -6,6 +6,7 @@
 //! - [`trunk`]: the thesis's networks.
 
 mod batch;
+mod builder;
 mod convolution;
 mod graph;
 mod init;
@@ -24,9 +25,10 @@ pub mod trunk;
 pub mod weights;
 
 pub use batch::Batch;
+pub use builder::Builder;
 pub use graph::{Graph, NodeId, Wanted};
 pub use init::Init;
-pub use layers::{Activation, Builder, LayerInit, Sequential};
+pub use layers::{Activation, LayerInit, Sequential};
 pub use network::{Network, Tape};
 pub use optimizer::{Optimizer, OptimizerSettings, norm};
 pub use params::{Gradients, ParamId, ParamSpec, Parameters};

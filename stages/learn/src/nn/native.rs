@@ -11,29 +11,29 @@ use super::layers::{Activation, Layer};
 use super::{Batch, Gradients, ParamId, Parameters};
 use crate::kernels::{Buffer, activation, conv, dense};
 
-/// What a batch left behind on its way forward: the outputs of all layers.
+/// The outputs of all layers in a forward pass, for the backward pass.
 #[derive(Debug)]
 pub(super) struct Tape {
     rows: usize,
-    /// None where a part did not run.
-    nodes: Vec<Option<Ran>>,
+    /// None for a node that was not computed.
+    nodes: Vec<Option<NodeOutputs>>,
 }
 
 #[derive(Debug)]
-struct Ran {
-    /// The rows of the batch that the part saw.
+struct NodeOutputs {
+    /// The rows of the batch that it was computed for.
     rows: Range<usize>,
     /// One for each layer.
     outputs: Vec<Buffer>,
 }
 
 impl Tape {
-    /// What a part gave.
+    /// The output of a node.
     fn output(&self, node: usize) -> &[f32] {
         self.nodes[node].as_ref().and_then(|ran| ran.outputs.last()).map_or(&[], |output| output)
     }
 
-    /// What a part computes from.
+    /// The input of a node.
     fn input<'a>(&'a self, graph: &Graph, batch: &'a Batch, node: usize, rows: &Range<usize>) -> Input<'a> {
         let whole = match graph.nodes[node].source {
             None => batch.input(),
@@ -43,8 +43,8 @@ impl Tape {
     }
 }
 
-/// Buffers of past passes, by length: a training step needs the same ones every time, and clearing fresh memory would
-/// cost as much as a layer.
+/// Buffers of previous passes, by length: every training step needs the same ones, and clearing new memory would cost as
+/// much as a layer.
 #[derive(Debug, Default)]
 pub(super) struct Pool(RefCell<BTreeMap<usize, Vec<Buffer>>>);
 
@@ -58,13 +58,13 @@ impl Pool {
         self.0.borrow_mut().entry(buffer.len()).or_default().push(buffer);
     }
 
-    /// Takes the buffers of a tape back.
+    /// Returns the buffers of a tape to the pool.
     pub(super) fn recycle(&self, tape: Tape) {
         tape.nodes.into_iter().flatten().flat_map(|ran| ran.outputs).for_each(|buffer| self.give(buffer));
     }
 }
 
-/// Runs the batch through the parts that are needed; gives the outputs asked for, in that order, row-major.
+/// Forward pass through the nodes that are needed; returns the requested outputs, in that order, row-major.
 pub(super) fn forward(
     graph: &Graph,
     params: &Parameters,
@@ -86,13 +86,13 @@ pub(super) fn forward(
             layer.forward(params, input, &mut output);
             outputs.push(output);
         }
-        tape.nodes[node] = Some(Ran { rows, outputs });
+        tape.nodes[node] = Some(NodeOutputs { rows, outputs });
     }
     let outputs = wanted.iter().map(|wanted| tape.output(wanted.node.0).to_vec()).collect();
     (outputs, tape)
 }
 
-/// Sends the gradients of outputs back and writes those of the parameters that they depend on. Uses the tape up.
+/// Backward pass: writes the gradients of the parameters, given those of the outputs. Consumes the tape.
 pub(super) fn backward(
     graph: &Graph,
     params: &Parameters,
@@ -131,7 +131,7 @@ pub(super) fn backward(
     pool.recycle(tape);
 }
 
-/// The gradient of a part's output with what one more part that computes from it (its rows only) sends back.
+/// Adds the gradient from one more dependent node (for its rows only) to the gradient of a node's output.
 fn sum(so_far: Option<Buffer>, add: Buffer, range: &Range<usize>, rows: usize, pool: &Pool) -> Buffer {
     let len = add.len() / range.len().max(1);
     let mut sum = match so_far {
@@ -174,8 +174,8 @@ impl Layer {
         }
     }
 
-    /// Turns the gradient of the output into that of the input, where it is wanted, and writes those of the weights.
-    /// `gradient` is used up.
+    /// Computes the gradient of the input, if requested, from that of the output, and writes those of the weights.
+    /// Overwrites `gradient`.
     fn backward(
         &self,
         params: &Parameters,
@@ -223,7 +223,7 @@ impl Activation {
         }
     }
 
-    /// Turns the gradient of the function's output into that of its input.
+    /// Converts the gradient of the function's output to that of its input.
     fn gradient(self, output: &[f32], gradient: &mut [f32]) {
         match self {
             Self::Linear => {}
@@ -248,7 +248,7 @@ fn weight_gradient(
     conv.read_panels(&panels, gradients.set(weight));
 }
 
-/// Each row of `rows`×`columns` numbers with rows and columns exchanged.
+/// Transposes each row, a matrix of `rows`×`columns` numbers.
 fn transpose(input: &[f32], (rows, columns): (usize, usize), output: &mut [f32]) {
     let len = rows * columns;
     for (input, output) in input.chunks_exact(len).zip(output.chunks_exact_mut(len)) {

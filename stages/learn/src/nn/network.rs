@@ -1,4 +1,4 @@
-//! A network with its parameters and the backend that computes it: the one seam between the algorithms and the machine.
+//! A network with its parameters and the backend that computes it: the interface between algorithms and hardware.
 
 use dril_kinds::Device;
 use dril_stage_api::StageError;
@@ -16,7 +16,7 @@ pub struct Network {
     backend: Backend,
 }
 
-/// What computes a network.
+/// The backend that computes a network.
 #[derive(Debug)]
 enum Backend {
     /// The kernels of this crate, on the CPU. Its bits are the same on every x86-64 processor with AVX2 and FMA.
@@ -25,7 +25,7 @@ enum Backend {
     Torch(Torch),
 }
 
-/// What a backward pass needs of the forward pass.
+/// The data of a forward pass that the backward pass needs.
 #[derive(Debug)]
 pub struct Tape(Kind);
 
@@ -41,10 +41,10 @@ impl Network {
         Self { graph, params, backend: Backend::Native(native::Pool::default()) }
     }
 
-    /// Computes on this device from now on.
+    /// Selects the device.
     ///
     /// # Errors
-    /// The device is a GPU, and libtorch sees none.
+    /// The device is a GPU, and libtorch finds none.
     pub fn set_device(&mut self, device: Device) -> Result<(), StageError> {
         self.backend = match device {
             Device::Cpu => Backend::Native(native::Pool::default()),
@@ -59,13 +59,13 @@ impl Network {
         Ok(())
     }
 
-    /// Computes with libtorch on the CPU from now on: what the native backend is tested against.
+    /// Selects libtorch on the CPU, which the native backend is tested against.
     #[cfg(test)]
     pub(crate) fn use_torch(&mut self, device: tch::Device) {
         self.backend = Backend::Torch(Torch::new(device));
     }
 
-    /// The outputs asked for, in that order, each [rows, outputs], and what a backward pass needs.
+    /// The requested outputs, in that order, each [rows, outputs], and the tape for the backward pass.
     pub fn forward(&self, batch: &Batch, wanted: &[Wanted]) -> (Vec<Vec<f32>>, Tape) {
         match &self.backend {
             Backend::Native(pool) => {
@@ -79,7 +79,7 @@ impl Network {
         }
     }
 
-    /// The outputs alone.
+    /// The outputs only.
     pub fn infer(&self, batch: &Batch, wanted: &[Wanted]) -> Vec<Vec<f32>> {
         match &self.backend {
             Backend::Native(pool) => {

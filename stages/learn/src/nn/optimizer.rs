@@ -4,10 +4,10 @@ use dril_stage_api::StageError;
 use serde::{Deserialize, Serialize};
 
 use super::{Gradients, ParamId, Parameters};
-use crate::kernels::{Buffer, adam};
+use crate::kernels::{Buffer, optimizer};
 use crate::training::checkpoint::Arrays;
 
-/// The constants of an optimizer; PyTorch's defaults for Adam.
+/// Hyperparameters of an optimizer; by default PyTorch's for Adam.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct OptimizerSettings {
     /// Decay of the first moment.
@@ -16,7 +16,7 @@ pub struct OptimizerSettings {
     pub beta2: f64,
     /// Added to the denominator.
     pub epsilon: f64,
-    /// True where moments are corrected for their bias towards 0 in the first steps.
+    /// True to correct the moments' bias towards 0 in the first steps.
     pub correct_bias: bool,
 }
 
@@ -27,13 +27,13 @@ impl Default for OptimizerSettings {
 }
 
 impl OptimizerSettings {
-    /// RMSprop as PyTorch has it: Adam without a first moment and without bias correction.
+    /// RMSprop as in PyTorch: Adam without first moment and without bias correction.
     pub fn rmsprop(decay: f64, epsilon: f64) -> Self {
         Self { beta1: 0.0, beta2: decay, epsilon, correct_bias: false }
     }
 }
 
-/// The optimizer's state for some of the parameters of one network. Two losses on one network take two of them.
+/// The optimizer's state for some of the parameters of a network. Two losses on one network use two optimizers.
 #[derive(Debug)]
 pub struct Optimizer {
     settings: OptimizerSettings,
@@ -54,20 +54,20 @@ impl Optimizer {
         Self { settings, ids, m: Buffer::zeros(count), v: Buffer::zeros(count), steps: 0, powers: [1.0; 2] }
     }
 
-    /// The parameters that it moves.
+    /// The parameters that it updates.
     pub fn ids(&self) -> &[ParamId] {
         &self.ids
     }
 
-    /// The Euclidean norm of the gradients of its parameters together.
+    /// The global Euclidean norm of the gradients of its parameters.
     pub fn norm(&self, gradients: &Gradients) -> f64 {
         norm(gradients, &self.ids)
     }
 
-    /// One step against the gradients. With `limit`, (their [`Optimizer::norm`], the largest norm), they are scaled so
-    /// that their norm is at most the largest. A parameter without a gradient stays.
+    /// One gradient descent step. With `limit`, (the gradients' [`Optimizer::norm`], the maximum norm), the gradients are
+    /// scaled down to the maximum norm. A parameter without a gradient is not changed.
     ///
-    /// Gives false, and changes nothing, where the step size is beyond what weights of single precision can hold.
+    /// Returns false, and changes nothing, if the step is too large for single precision.
     #[must_use]
     pub fn step(
         &mut self,
@@ -86,7 +86,7 @@ impl Optimizer {
             return false;
         }
         (self.steps, self.powers) = (self.steps + 1, powers);
-        let with = adam::Step {
+        let with = optimizer::Step {
             scale: scale as f32,
             beta1: beta1 as f32,
             beta2: beta2 as f32,
@@ -101,18 +101,18 @@ impl Optimizer {
             at = range.end;
             if let Some(gradient) = gradients.get(*id) {
                 let (m, v) = (&mut self.m[range.clone()], &mut self.v[range]);
-                adam::step(value, m, v, gradient, with);
+                optimizer::step(value, m, v, gradient, with);
             }
         }
         true
     }
 
-    /// Steps taken.
+    /// Number of steps.
     pub fn steps(&self) -> u64 {
         self.steps
     }
 
-    /// Adds the moments to a checkpoint, under names that begin with `name`; [`Optimizer::steps`] belongs to them.
+    /// Saves the moments to a checkpoint, under names that start with `name`; [`Optimizer::steps`] has to be saved with them.
     pub fn save(&self, name: &str, arrays: &mut Arrays) {
         arrays.put_f32(&format!("{name}.m"), &self.m);
         arrays.put_f32(&format!("{name}.v"), &self.v);
@@ -121,7 +121,7 @@ impl Optimizer {
     /// Restores the moments of a checkpoint.
     ///
     /// # Errors
-    /// They belong to other parameters.
+    /// They are for other parameters.
     pub fn restore(&mut self, name: &str, steps: u64, arrays: &mut Arrays) -> Result<(), StageError> {
         let len = self.m.len();
         self.m.copy_from_slice(&arrays.take_f32(&format!("{name}.m"), len)?);
@@ -135,7 +135,7 @@ impl Optimizer {
     }
 }
 
-/// The Euclidean norm of the gradients of these parameters together; parameters without a gradient do not count.
+/// The global Euclidean norm of the gradients of these parameters; parameters without a gradient are ignored.
 pub fn norm(gradients: &Gradients, ids: &[ParamId]) -> f64 {
-    ids.iter().filter_map(|id| gradients.get(*id)).map(adam::sum_of_squares).sum::<f64>().sqrt()
+    ids.iter().filter_map(|id| gradients.get(*id)).map(optimizer::sum_of_squares).sum::<f64>().sqrt()
 }

@@ -1,19 +1,19 @@
 //! Matrices with orthonormal rows or columns, uniformly distributed (Saxe et al. 2014, Mezzadri 2007).
 //!
-//! LAPACK's decomposition goes through a BLAS that chooses its code by the processor, and gives other last bits on
-//! another one. Here the sums have an order of their own: eight of them side by side, so that the compiler can keep them
-//! in vectors of whatever length, added at the end in pairs.
+//! LAPACK's decomposition uses a BLAS that selects its code by the processor, so its last bits differ between machines.
+//! Here, the order of sums is fixed: eight partial sums, which the compiler can keep in vectors of any length, added
+//! pairwise at the end.
 
 use dril_stage_api::{StreamRng, draw};
 
-/// Sums that run side by side.
+/// Number of partial sums.
 const LANES: usize = 8;
 
-/// Columns that are projected together, so that one reading of an earlier column serves several.
+/// Columns that are projected together, so that an earlier column is read once for several.
 const BLOCK: usize = 4;
 
-/// Where projection leaves less of a column's length than this, rounding has a part in what is left, and it is
-/// projected once more ("twice is enough", Parlett 1998).
+/// If projection leaves less than this fraction of a column's length, rounding errors dominate the rest, and it is projected
+/// again ("twice is enough", Parlett 1998).
 const TWICE_BELOW: f64 = 0.1;
 
 /// A matrix of `rows` × `cols`, row-major, whose rows (where there are fewer of them) or columns are orthogonal to each

@@ -1,5 +1,5 @@
-//! The parameters of a network: named blocks of one flat buffer, so that saving, restoring and the optimizer walk over
-//! plain slices. Their gradients lie in a buffer of the same layout.
+//! The parameters of a network: named blocks of one flat buffer, so that saving, restoring and the optimizer work on plain
+//! slices. Gradients are in a buffer of the same layout.
 
 use std::cell::{Cell, Ref, RefCell};
 
@@ -8,23 +8,23 @@ use dril_stage_api::StreamRng;
 use super::Init;
 use crate::kernels::Buffer;
 
-/// The position of a parameter in its [`Parameters`].
+/// Index of a parameter in its [`Parameters`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ParamId(pub(crate) usize);
 
 /// A parameter's name, shape and initial values.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ParamSpec {
-    /// Its name in the weights file, as `actor.0.weight`.
+    /// Its name in the weights file, such as `actor.0.weight`.
     pub name: String,
     /// Its dimensions.
     pub shape: Vec<usize>,
-    /// What its first values are drawn from.
+    /// Distribution of its initial values.
     pub init: Init,
 }
 
 impl ParamSpec {
-    /// How many numbers it has.
+    /// Number of values.
     pub fn count(&self) -> usize {
         self.shape.iter().product()
     }
@@ -36,22 +36,22 @@ pub struct Parameters {
     specs: Vec<ParamSpec>,
     offsets: Vec<usize>,
     flat: Buffer,
-    /// Counts changes of values.
+    /// Number of changes.
     generation: Cell<u64>,
-    /// For each parameter, its weights packed for the forward kernels, and for those of the backward pass.
+    /// For each parameter, its weights packed for the forward and for the backward kernels.
     panels: [Vec<RefCell<Panels>>; 2],
 }
 
-/// The weights of a layer in the order of a kernel, packed again when they are needed after a change.
+/// The weights of a layer in a kernel's layout, packed when needed after a change.
 #[derive(Debug, Default)]
 struct Panels {
     numbers: Buffer,
-    /// The generation that they were packed from; none before the first use.
+    /// The generation of the values that were packed; none before the first use.
     generation: Option<u64>,
 }
 
 impl Parameters {
-    /// Draws the first values from the stream, in the order of the list; without a stream they are zeros, to be replaced
+    /// Draws the initial values from the stream, in the order of the list; zeros if there is no stream, to be replaced
     /// by [`super::weights::Weights::fill`].
     pub fn new(specs: Vec<ParamSpec>, stream: Option<&mut StreamRng>) -> Self {
         let mut offsets = Vec::with_capacity(specs.len() + 1);
@@ -74,12 +74,12 @@ impl Parameters {
         params
     }
 
-    /// How many parameters (named blocks) there are.
+    /// Number of parameters (named blocks).
     pub fn len(&self) -> usize {
         self.specs.len()
     }
 
-    /// True where there is none.
+    /// True if there is none.
     pub fn is_empty(&self) -> bool {
         self.specs.is_empty()
     }
@@ -103,7 +103,7 @@ impl Parameters {
         self.generation.set(self.generation.get() + 1);
     }
 
-    /// The values of one parameter packed for a forward kernel: `len` numbers that `pack` fills from the values, kept
+    /// The values of one parameter, packed for a forward kernel: `len` numbers that `pack` computes from the values, cached
     /// until these change.
     pub(super) fn panels(
         &self,
@@ -148,7 +148,7 @@ impl Parameters {
         &self.flat[self.offsets[id.0]..self.offsets[id.0 + 1]]
     }
 
-    /// The values of one parameter, to be changed.
+    /// The values of one parameter, mutable.
     pub fn slice_mut(&mut self, id: ParamId) -> &mut [f32] {
         self.changed();
         &mut self.flat[self.offsets[id.0]..self.offsets[id.0 + 1]]
@@ -166,7 +166,7 @@ impl Parameters {
     }
 }
 
-/// The gradients of a loss, in the layout of the parameters. A parameter that the loss does not depend on has none.
+/// The gradients of a loss, in the layout of the parameters. A parameter that the loss does not depend on has no gradient.
 #[derive(Debug)]
 pub struct Gradients {
     offsets: Vec<usize>,
@@ -175,7 +175,7 @@ pub struct Gradients {
 }
 
 impl Gradients {
-    /// Room for the gradients of these parameters; none is present.
+    /// A buffer for the gradients of these parameters, initially without gradients.
     pub fn new(params: &Parameters) -> Self {
         Self {
             offsets: params.offsets.clone(),
@@ -184,17 +184,17 @@ impl Gradients {
         }
     }
 
-    /// Forgets all gradients and keeps the memory.
+    /// Clears all gradients and keeps the memory.
     pub fn clear(&mut self) {
         self.present.fill(false);
     }
 
-    /// The gradient of a parameter, row-major; `None` where the loss does not depend on it.
+    /// The gradient of a parameter, row-major; `None` if the loss does not depend on it.
     pub fn get(&self, id: ParamId) -> Option<&[f32]> {
         self.present[id.0].then(|| &self.flat[self.offsets[id.0]..self.offsets[id.0 + 1]])
     }
 
-    /// Room for a gradient that is written over whatever stood there.
+    /// The buffer for a gradient, to be overwritten.
     pub fn set(&mut self, id: ParamId) -> &mut [f32] {
         self.present[id.0] = true;
         &mut self.flat[self.offsets[id.0]..self.offsets[id.0 + 1]]

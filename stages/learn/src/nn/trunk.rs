@@ -5,24 +5,24 @@ use dril_kinds::Network;
 
 use super::{Activation, Builder, LayerInit, NodeId, Sequential};
 
-/// The parts of an agent's network.
+/// The nodes of a policy's network.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Trunk {
-    /// The part that gives the actor's features.
+    /// The node with the actor's features.
     pub actor: NodeId,
-    /// The part that gives the state value, [rows, 1].
+    /// The node with the state value, [rows, 1].
     pub critic: NodeId,
-    /// How many features the actor's last layer gives to the head.
+    /// Number of features of the actor.
     pub features: usize,
 }
 
-/// True where the network takes such observations.
+/// True if the network supports these observations.
 pub fn takes(network: Network, observation: ObservationSpace) -> bool {
     matches!(observation, ObservationSpace::Image { .. }) == (network != Network::Mlp)
 }
 
 impl Trunk {
-    /// Describes the layers of `network`.
+    /// Adds the layers of `network` to the builder.
     pub fn build(build: &mut Builder, network: Network, observation: ObservationSpace) -> Self {
         match (network, observation) {
             (Network::ExpertCnn, ObservationSpace::Image { height, width, stack }) => {

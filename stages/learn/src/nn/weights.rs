@@ -1,7 +1,7 @@
-//! Weights as a file: safetensors, with the network's description as JSON in its metadata.
+//! The weights file: safetensors, with a description of the network as JSON in the metadata.
 //!
-//! One metadata key only: the safetensors crate writes its metadata from a hash map, and with two keys equal weights
-//! could give different bytes.
+//! There is only one metadata key: the safetensors crate writes its metadata from a hash map, so that with two keys, equal
+//! weights could give different bytes.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -12,13 +12,13 @@ use serde::{Serialize, de::DeserializeOwned};
 
 use super::Parameters;
 
-/// The metadata key that holds the description.
+/// The metadata key of the description.
 const KEY: &str = "dril";
 
-/// The bytes of a weights file: `about` describes the network and is read back by [`read`].
+/// The weights as a file: `about` describes the network and is returned by [`read`].
 ///
 /// # Errors
-/// The description cannot be written as JSON.
+/// The description cannot be serialised.
 pub fn to_bytes<A: Serialize>(about: &A, params: &Parameters) -> Result<Vec<u8>, StageError> {
     let about = serde_json::to_string(about).map_err(StageError::failed)?;
     let bytes: Vec<Vec<u8>> = params.ids().map(|id| little_endian(params.slice(id))).collect();
@@ -34,7 +34,7 @@ pub fn to_bytes<A: Serialize>(about: &A, params: &Parameters) -> Result<Vec<u8>,
     safetensors::serialize(views, Some(metadata)).map_err(StageError::failed)
 }
 
-/// Weights that were read, before they are given to a network.
+/// Weights read from a file.
 #[derive(Debug)]
 pub struct Weights {
     bytes: Vec<u8>,
@@ -44,7 +44,7 @@ pub struct Weights {
 /// Reads a weights file.
 ///
 /// # Errors
-/// The file cannot be read, is no safetensors file, or none of this program's.
+/// The file cannot be read, is not a safetensors file, or was not written by this program.
 pub fn read(port: &str, path: &Path) -> Result<Weights, StageError> {
     let bytes = std::fs::read(path).map_err(StageError::io("cannot read", path))?;
     let broken = |error| StageError::input(port, path, format!("not a safetensors file: {error}"));
@@ -75,7 +75,7 @@ impl Weights {
     /// Copies the values into a network of the same layout.
     ///
     /// # Errors
-    /// A parameter is missing, has another shape or type, is left over, or is not finite.
+    /// A parameter is missing, has another shape or type, is unknown, or is not finite.
     pub fn fill(&self, port: &str, path: &Path, params: &mut Parameters) -> Result<(), StageError> {
         let wrong = |message: String| StageError::input(port, path, message);
         let file = SafeTensors::deserialize(&self.bytes).map_err(|error| wrong(error.to_string()))?;

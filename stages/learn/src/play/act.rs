@@ -1,4 +1,4 @@
-//! Acting: from a batch of observations to actions, and playing listed episodes several at a time.
+//! Acting: from a batch of observations to actions, and playing a list of episodes, several in parallel.
 
 use std::collections::BTreeSet;
 
@@ -12,21 +12,21 @@ use crate::policy::{Parts, Policy, to_action};
 
 pub use dril_kinds::Mode;
 
-/// What acting on a batch gave; row-major, one row for each observation.
+/// Actions for a batch of observations; row-major, one row per observation.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Acted {
-    /// Samples in the distribution's own scale, [batch · actions].
+    /// Samples in the distribution's own range, [batch · actions].
     pub samples: Vec<f32>,
-    /// Their log-densities, [batch].
+    /// Their log-probabilities, [batch].
     pub log_probs: Vec<f32>,
     /// State values, [batch].
     pub values: Vec<f32>,
-    /// Actions in the environment's scale, not clipped, [batch · actions].
+    /// Actions in the environment's range, not clipped, [batch · actions].
     pub actions: Vec<f32>,
 }
 
-/// Samples an action for every observation, or with probability `mean_action_probability` (one draw for the whole
-/// batch, from the same stream) takes the mean everywhere, as the DRIL reference does with 0.1.
+/// Samples an action for each observation or, with probability `mean_action_probability` (one draw for the whole batch,
+/// from the same stream), uses the mean for all of them, as DRIL's reference code does with 0.1.
 pub fn act(
     policy: &Policy,
     observations: &Batch,
@@ -52,7 +52,7 @@ pub fn act(
     Acted { log_probs, values: answers.values, actions, samples }
 }
 
-/// No draw is made where the probability is 0.
+/// Draws nothing if the probability is 0.
 fn draws_mean(probability: f64, stream: &mut StreamRng) -> bool {
     probability > 0.0 && stream.random::<f64>() < probability
 }
@@ -60,19 +60,19 @@ fn draws_mean(probability: f64, stream: &mut StreamRng) -> bool {
 /// How a list of episodes is played.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Play {
-    /// Mean or samples.
+    /// Mean actions or samples.
     pub mode: Mode,
-    /// In stochastic mode, the probability of the mean action, drawn at each step of each episode.
+    /// In stochastic mode, the probability per step of using the mean action.
     pub mean_action_probability: f64,
-    /// Episode `i` is played with seed `first_seed + i`.
+    /// Episode `i` uses the environment seed `first_seed + i`.
     pub first_seed: u64,
-    /// How many episodes the list has.
+    /// Number of episodes.
     pub episodes: usize,
-    /// True where observations and actions are kept.
+    /// True to record observations and actions.
     pub record: bool,
 }
 
-/// An episode that was played to its end.
+/// An episode, as far as it has been played.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlayedEpisode {
     /// Its position in the list.
@@ -85,17 +85,17 @@ pub struct PlayedEpisode {
     pub steps: u64,
     /// How it ended.
     pub outcome: Outcome,
-    /// Where recorded: the frame before each action, as bytes; empty where observations are vectors.
+    /// If recorded: the frame before each action; empty for vector observations.
     pub frames: Vec<u8>,
-    /// Where recorded: the vector before each action; empty where observations are frames.
+    /// If recorded: the vector before each action; empty for image observations.
     pub vectors: Vec<f32>,
-    /// Where recorded: the actions as the policy gave them, not clipped.
+    /// If recorded: the actions as the policy chose them, not clipped.
     pub actions: Vec<f32>,
 }
 
-/// How many episodes are played side by side. Episode `i` is always played in row `i mod WIDTH` of a full batch, and a
-/// row's result does not depend on what the other rows hold; so an episode's score depends on the policy, its seed and
-/// its own stream, and not on how many episodes there are or how long the others last.
+/// Number of episodes played in parallel. Episode `i` is always played in row `i mod WIDTH` of a full batch, and a row's
+/// result does not depend on the other rows. So an episode's score depends on the policy, its seed and its own stream, and
+/// not on the number or length of other episodes.
 pub const WIDTH: usize = 8;
 
 /// Plays episodes of a list, [`WIDTH`] at a time.
@@ -106,32 +106,32 @@ pub struct Player<'a> {
     rows: Vec<Row>,
     frames: FrameStore,
     depth: usize,
-    /// Episodes of the list that are not played.
+    /// Episodes to skip.
     skipped: BTreeSet<usize>,
 }
 
 /// One row of the batch.
 struct Row {
     env: Box<dyn Env>,
-    /// The running episode; none where the list is used up.
+    /// The running episode; none if the list is exhausted.
     episode: Option<(PlayedEpisode, StreamRng)>,
-    /// The next one of this row.
+    /// The next episode of this row.
     next: usize,
 }
 
 impl<'a> Player<'a> {
-    /// A player for `policy` in environments of `env`; the actions of episode `i` come from the stream `action` of the
+    /// A player for `policy` in environments of `env`. The actions of episode `i` are drawn from the stream `action` of the
     /// seed's child `episode/i`.
     ///
     /// # Errors
-    /// The environment cannot be built, or shows or takes something else than the policy knows.
+    /// The environment cannot be built, or its spaces differ from the policy's.
     pub fn new(policy: &'a Policy, env: &EnvConfig, play: Play, seed: Seed) -> Result<Self, StageError> {
         crate::spaces::check(policy, env)?;
         let envs = env.build_several(WIDTH, 1).map_err(StageError::failed)?;
         Ok(Self::with(policy, envs, play, seed))
     }
 
-    /// As [`Player::new`], with [`WIDTH`] environments that are there already.
+    /// As [`Player::new`], with [`WIDTH`] given environments.
     fn with(policy: &'a Policy, envs: Vec<Box<dyn Env>>, play: Play, seed: Seed) -> Self {
         let rows = envs.into_iter().enumerate().map(|(row, env)| Row { env, episode: None, next: row });
         let observation = policy.architecture().observation;
@@ -140,17 +140,16 @@ impl<'a> Player<'a> {
         Self { policy, play, seed, rows: rows.collect(), frames, depth, skipped: BTreeSet::new() }
     }
 
-    /// Leaves out these episodes of the list, which were played before; the others come out as they would have. To be
-    /// called before the first step.
+    /// Skips these episodes, which were played before; the others have the same result. Call it before the first step.
     pub fn skip(&mut self, episodes: impl IntoIterator<Item = usize>) {
         self.skipped.extend(episodes);
     }
 
-    /// One step of every running episode; gives those that ended with it, in the order of the rows, or `None` once the
-    /// list is used up.
+    /// Takes one step in every running episode; returns those that ended, in the order of the rows, or `None` when the list
+    /// is exhausted.
     ///
     /// # Errors
-    /// The environment's.
+    /// An environment fails.
     pub fn step(&mut self) -> Result<Option<Vec<PlayedEpisode>>, StageError> {
         self.step_rows().map_err(StageError::failed)
     }
@@ -176,17 +175,17 @@ impl<'a> Player<'a> {
         Ok(Some(ended))
     }
 
-    /// The episode that runs in a row, as far as it has been played.
+    /// The running episode of a row.
     pub fn playing(&self, row: usize) -> Option<&PlayedEpisode> {
         self.rows.get(row)?.episode.as_ref().map(|(played, _)| played)
     }
 
-    /// The environment of a row below [`WIDTH`], to look at.
+    /// The environment of a row below [`WIDTH`], for rendering.
     pub fn env(&mut self, row: usize) -> &mut dyn Env {
         self.rows[row].env.as_mut()
     }
 
-    /// Starts the row's next episode, where none is running and the list has one.
+    /// Starts the row's next episode, if none is running and there is one.
     fn start_next(&mut self, index: usize) -> Result<(), EnvError> {
         let row = &mut self.rows[index];
         if row.episode.is_some() {
@@ -218,7 +217,7 @@ impl<'a> Player<'a> {
         Ok(())
     }
 
-    /// Actions for every row, not clipped; rows whose list is used up act on what they saw last, and nobody asks.
+    /// Actions for every row, not clipped; those of finished rows are not used.
     fn actions(&mut self) -> Vec<f32> {
         let architecture = self.policy.architecture();
         let slots: Vec<usize> = (0..WIDTH).map(|row| row * self.depth + self.depth - 1).collect();
@@ -235,7 +234,7 @@ impl<'a> Player<'a> {
         samples.into_iter().map(|sample| to_action(architecture.family, sample)).collect()
     }
 
-    /// Acts in one row; gives its episode where that ended it.
+    /// Takes one step in one row; returns its episode if it ended.
     fn act(&mut self, index: usize, action: &[f32]) -> Result<Option<PlayedEpisode>, EnvError> {
         let row = &mut self.rows[index];
         let Some((played, _)) = &mut row.episode else { return Ok(None) };

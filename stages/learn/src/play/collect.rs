@@ -1,4 +1,4 @@
-//! The stage that records the episodes in which an expert did well.
+//! The stage `collect`: records episodes that score above a threshold.
 
 use dril_envs::{ActionRange, Demonstrations, DemosHeader, EnvConfig, Episode};
 use dril_kinds::{Collect, CollectParams, Mode, PolicyFamily};
@@ -7,7 +7,7 @@ use dril_stage_api::{Ctx, Stage, StageError};
 use super::act::{Play, PlayedEpisode, Player};
 use crate::policy::Policy;
 
-/// Runs the kind `collect`.
+/// The stage `collect`.
 pub struct CollectStage;
 
 impl Stage for CollectStage {
@@ -30,12 +30,12 @@ impl Stage for CollectStage {
     }
 }
 
-/// What the attempts have come to so far.
+/// The attempts so far.
 #[derive(Debug, Default)]
 struct Attempts {
-    /// Those with a good score, by their place in the list.
+    /// Accepted episodes, by their index.
     kept: Vec<PlayedEpisode>,
-    /// Which ones are over.
+    /// Indices of finished attempts.
     over: Vec<bool>,
     best: Option<f64>,
 }
@@ -53,14 +53,14 @@ impl Attempts {
         }
     }
 
-    /// True where the first `wanted` good episodes of the list are known: every attempt before the last of them is over.
+    /// True if the first `wanted` accepted episodes are known: every attempt before the last of them is finished.
     fn settled(&self, wanted: usize) -> bool {
         let Some(last) = wanted.checked_sub(1).and_then(|last| self.kept.get(last)) else { return false };
         self.over[..last.index].iter().all(|&over| over)
     }
 }
 
-/// Plays until the first good episodes of the list are known.
+/// Plays until the first accepted episodes are known.
 fn choose(
     player: &mut Player<'_>,
     params: &CollectParams,

@@ -1,9 +1,9 @@
-//! The stage that plays the episodes of a fixed list and writes their scores.
+//! The stage `evaluate`: plays the episodes of a fixed list of seeds and writes their scores.
 //!
-//! A checkpoint holds the episodes that are done; those under way start again, and come out the same.
+//! A checkpoint contains the finished episodes; the others are restarted, with the same result.
 //!
-//! Every agent plays the same seeds, one episode each, whatever its length; see [`super::act::WIDTH`] for why an
-//! episode's score does not depend on the others.
+//! All policies are evaluated on the same seeds, one episode each, whatever its length; see [`super::act::WIDTH`] for why
+//! an episode's score does not depend on the others.
 
 use dril_envs::Outcome;
 use dril_kinds::{Counted, Evaluate, EvaluateParams};
@@ -14,7 +14,7 @@ use super::act::{Play, PlayedEpisode, Player};
 use crate::policy::Policy;
 use crate::training::checkpoint::{self, Arrays};
 
-/// Runs the kind `evaluate`.
+/// The stage `evaluate`.
 pub struct EvaluateStage;
 
 impl Stage for EvaluateStage {
@@ -53,7 +53,7 @@ impl Stage for EvaluateStage {
     }
 }
 
-/// The rows that count, numbered: in the order of the list, or in that in which they finished.
+/// The counted rows, numbered: in the order of the list, or in the order in which they finished.
 fn counted(mut rows: Vec<ScoreRow>, params: &EvaluateParams) -> Vec<ScoreRow> {
     match params.counted {
         Counted::Listed => rows.sort_by_key(|row| row.episode),
@@ -76,7 +76,7 @@ fn row(played: &PlayedEpisode, policy: &Policy) -> ScoreRow {
     }
 }
 
-/// The word for an outcome in the table of scores.
+/// The name of an outcome in the table of scores.
 fn outcome(outcome: Outcome) -> &'static str {
     match outcome {
         Outcome::Running => "running",

@@ -1,11 +1,11 @@
 //! The stage that looks at what an agent would do at one recorded observation.
 
-use dril_envs::{Demonstrations, DemosHeader, EnvError, Episode, ObservationSpace, Picture};
+use dril_envs::{Demonstrations, DemosHeader, EnvError, Episode, ObservationSpace, RgbImage};
 use dril_kinds::{Network, Probe, ProbeParams};
 use dril_stage_api::{Ctx, Stage, StageError, math};
 
 use crate::data::frames::FrameStore;
-use crate::data::pairs::frames_of;
+use crate::data::transitions::frames_of;
 use crate::policy::{Architecture, Parts, Policy, Row, to_action};
 
 /// Runs the kind `probe`.
@@ -104,21 +104,21 @@ impl Moment {
     }
 
     /// The frames that the agent sees at once, or a drawing of the environment at that moment.
-    fn image(&self) -> Result<Picture, EnvError> {
+    fn image(&self) -> Result<RgbImage, EnvError> {
         if let ObservationSpace::Image { height, width, stack } = self.header.observation_space {
             let frame = |at: usize| {
                 let grey = &self.episode.frames[at * height * width..][..height * width];
-                Picture::from_grey(width, height, grey).enlarged(ENLARGED)
+                RgbImage::from_grey(width, height, grey).enlarged(ENLARGED)
             };
             let first = (self.step + 1).saturating_sub(stack);
-            return Ok(Picture::strip(&(first..=self.step).map(frame).collect::<Vec<_>>()));
+            return Ok(RgbImage::strip(&(first..=self.step).map(frame).collect::<Vec<_>>()));
         }
         let mut env = self.header.env.build()?;
         env.reset(self.episode.seed)?;
         for action in self.episode.actions.chunks_exact(self.header.action_dims.max(1)).take(self.step) {
             env.step(action)?;
         }
-        env.render(WIDTH as usize, (WIDTH / self.header.env.picture_ratio()).round() as usize)
+        env.render(WIDTH as usize, (WIDTH / self.header.env.aspect_ratio()).round() as usize)
     }
 }
 

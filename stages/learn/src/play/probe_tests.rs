@@ -1,7 +1,7 @@
 //! Tests of probes.
 
 use super::*;
-use crate::data::pairs::tests::image_demos;
+use crate::data::transitions::tests::image_demos;
 use dril_envs::{EnvConfig, Outcome};
 use dril_kinds::PolicyFamily;
 use dril_stage_api::testing::Bench;

@@ -1,10 +1,10 @@
-//! Replaying an episode for people: the policy plays it as the stage `evaluate` would, and every few steps are drawn.
+//! Videos of episodes: the policy plays an episode as in the stage `evaluate`, and every few steps are rendered.
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-use dril_envs::film::panel::{self, Gauge, Reading};
-use dril_envs::film::{Film, Format};
+use dril_envs::recordings::video::panel::{self, Gauge, Reading};
+use dril_envs::recordings::video::{Format, Video};
 use dril_envs::{ActionSpace, EnvConfig};
 use dril_kinds::Mode;
 use dril_stage_api::{Seed, StageError};
@@ -13,32 +13,32 @@ use serde::Deserialize;
 use super::act::{Play, PlayedEpisode, Player};
 use crate::policy::Policy;
 
-/// What to replay, and how it shall look.
+/// What to replay, and how to render it.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Replay {
     /// The policy's file.
     pub policy: PathBuf,
-    /// The environment; left out: `car-racing` for a policy that fits it.
+    /// The environment; default: `car-racing`, if it matches the policy.
     pub env: Option<EnvConfig>,
-    /// The seed that names the track or level, and the draws of a policy that acts at random.
+    /// Seed of the environment, and of a stochastic policy.
     pub seed: u64,
-    /// How the policy acts.
+    /// How the policy chooses its actions.
     pub mode: Mode,
-    /// The file to write; its ending says what: see [`Format::of`].
+    /// The file to write; its extension determines the format: see [`Format::of`].
     pub out: PathBuf,
-    /// Columns of a picture.
+    /// Width of a frame, pixels.
     pub width: usize,
-    /// Every so many steps one is drawn.
+    /// Render every Nth step.
     pub every: u64,
-    /// How much faster than life the film runs.
+    /// Playback speed, relative to real time.
     pub speed: f64,
 }
 
 /// The service behind `dril-pipe replay`: the one argument is a [`Replay`] as JSON.
 ///
 /// # Errors
-/// As [`run`], or the argument is none.
+/// As [`run`], or the argument is invalid.
 pub fn command(args: &[OsString]) -> Result<String, String> {
     let [text] = args else { return Err(format!("{} arguments, expected one", args.len())) };
     let replay = serde_json::from_str(&text.to_string_lossy());
@@ -46,10 +46,10 @@ pub fn command(args: &[OsString]) -> Result<String, String> {
     run(&replay).map_err(|error| error.to_string())
 }
 
-/// Plays the episode and writes the film; gives a sentence about it.
+/// Plays the episode and writes the video; returns a summary.
 ///
 /// # Errors
-/// The policy does not fit the environment, the environment fails or has no picture, or the file cannot be written.
+/// The policy does not match the environment, the environment fails or cannot render, or the file cannot be written.
 pub fn run(replay: &Replay) -> Result<String, StageError> {
     let format = Format::of(&replay.out).map_err(StageError::failed)?;
     check(replay)?;
@@ -63,7 +63,7 @@ pub fn run(replay: &Replay) -> Result<String, StageError> {
         record: true,
     };
     let mut player = Player::new(&policy, &env, play, Seed(replay.seed))?;
-    let mut film = Film::default();
+    let mut video = Video::default();
     let last = loop {
         let Some(ended) = player.step()? else {
             return Err(StageError::failed("the episode did not begin"));
@@ -75,14 +75,14 @@ pub fn run(replay: &Replay) -> Result<String, StageError> {
             player.playing(0).filter(|played| played.steps % replay.every == 1 % replay.every)
         {
             let reading = read(played, &env)?;
-            draw(&mut player, &mut film, (replay.width, &env), &reading)?;
+            draw(&mut player, &mut video, (replay.width, &env), &reading)?;
         }
     };
     let reading = read(&last, &env)?;
-    draw(&mut player, &mut film, (replay.width, &env), &reading)?;
+    draw(&mut player, &mut video, (replay.width, &env), &reading)?;
     let milliseconds = 1000.0 * replay.every as f64 / (env.steps_per_second() * replay.speed);
-    film.write(&replay.out, format, (milliseconds.round() as u32).max(1)).map_err(StageError::failed)?;
-    Ok(summary(&last, &film, &replay.out))
+    video.write(&replay.out, format, (milliseconds.round() as u32).max(1)).map_err(StageError::failed)?;
+    Ok(summary(&last, &video, &replay.out))
 }
 
 fn check(replay: &Replay) -> Result<(), StageError> {
@@ -117,14 +117,14 @@ fn env_for(policy: &Policy, replay: &Replay) -> Result<EnvConfig, StageError> {
     let env = EnvConfig::default();
     crate::spaces::check(policy, &env).map_err(|_| {
         StageError::failed(
-            "the file does not say in which environment its policy acts; say it, as in `--env '{ gymnasium: \
+            "the policy file does not name its environment; set it, as in `--env '{ gymnasium: \
              LunarLanderContinuous-v3 }'`",
         )
     })?;
     Ok(env)
 }
 
-/// What the bar under the picture says.
+/// Content of the bar under the image.
 struct Bar {
     score: f64,
     step: u64,
@@ -138,13 +138,16 @@ fn read(played: &PlayedEpisode, env: &EnvConfig) -> Result<Bar, StageError> {
     let labels = env.action_labels();
     let gauges = match space {
         ActionSpace::Continuous { .. } => {
-            let label =
-                |index: usize| labels.get(index).cloned().unwrap_or_else(|| format!("action {index}"));
+            let label = |index: usize| {
+                labels.get(index).map_or_else(|| format!("action {index}"), |label| (*label).to_owned())
+            };
             let bar = |(index, value): (usize, &f32)| Gauge::Bar { label: label(index), value: *value };
             action.iter().enumerate().map(bar).collect()
         }
         ActionSpace::Discrete { actions } => {
-            let label = |index: usize| labels.get(index).cloned().unwrap_or_else(|| index.to_string());
+            let label = |index: usize| {
+                labels.get(index).map_or_else(|| index.to_string(), |label| (*label).to_owned())
+            };
             let chosen = action.first().map_or(0, |chosen| *chosen as usize);
             vec![Gauge::Choice { labels: (0..actions).map(label).collect(), chosen }]
         }
@@ -154,17 +157,17 @@ fn read(played: &PlayedEpisode, env: &EnvConfig) -> Result<Bar, StageError> {
 
 fn draw(
     player: &mut Player<'_>,
-    film: &mut Film,
+    video: &mut Video,
     (width, env): (usize, &EnvConfig),
     bar: &Bar,
 ) -> Result<(), StageError> {
-    let height = (width as f64 / env.picture_ratio()).round() as usize;
-    let picture = player.env(0).render(width, height).map_err(StageError::failed)?;
+    let height = (width as f64 / env.aspect_ratio()).round() as usize;
+    let image = player.env(0).render(width, height).map_err(StageError::failed)?;
     let reading = Reading { score: bar.score, step: bar.step, outcome: bar.outcome, gauges: &bar.gauges };
-    film.push(&panel::under(&picture, &reading)).map_err(StageError::failed)
+    video.push(&panel::under(&image, &reading)).map_err(StageError::failed)
 }
 
-fn summary(played: &PlayedEpisode, film: &Film, out: &Path) -> String {
+fn summary(played: &PlayedEpisode, video: &Video, out: &Path) -> String {
     let ending = match played.outcome {
         dril_envs::Outcome::Finished => "finished",
         dril_envs::Outcome::Failed => "failed",
@@ -176,7 +179,7 @@ fn summary(played: &PlayedEpisode, film: &Film, out: &Path) -> String {
         played.seed,
         played.score,
         played.steps,
-        film.len()
+        video.len()
     )
 }
 
@@ -199,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn an_episode_becomes_a_film_that_shows_its_last_step() {
+    fn an_episode_becomes_a_video_that_shows_its_last_step() {
         for out in ["lap.gif", "lap.apng", "lap.png"] {
             let (_folder, replay) = replay(out);
             let said = run(&replay).unwrap();

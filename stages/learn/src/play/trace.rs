@@ -14,7 +14,7 @@ use crate::algorithms::dril::disagreement;
 use crate::algorithms::dril::signal;
 use crate::algorithms::ensemble::Ensemble;
 use crate::data::frames::FrameStore;
-use crate::data::pairs::{Pairs, frames_of};
+use crate::data::transitions::{Transitions, frames_of};
 use crate::policy::Policy;
 
 /// Runs the kind `trace`.
@@ -114,7 +114,7 @@ struct Judged {
     costs: Vec<f64>,
     limits: Vec<f64>,
     signals: Vec<f32>,
-    /// Where actions are choices: the cost of every choice, [choice][step], and its limit.
+    /// For discrete actions: the cost of every action, [action][step], and its limit.
     choices: Vec<(Vec<f64>, f64)>,
 }
 
@@ -130,7 +130,7 @@ fn judge(
             "input `demonstrations` is not connected: the limit of the ensemble's cost is taken from them";
         return Err(StageError::Port(message.to_owned()));
     };
-    let pairs = Pairs::load("demonstrations", path)?;
+    let transitions = Transitions::load("demonstrations", path)?;
     let (seen, known) = (header.observation_space, ensemble.architecture());
     if known.observation != seen || known.actions.action_len() != header.action_dims {
         return Err(StageError::failed(format!(
@@ -141,21 +141,21 @@ fn judge(
             header.action_dims
         )));
     }
-    if pairs.observation() != seen {
+    if transitions.observation() != seen {
         return Err(StageError::failed(format!(
             "the demonstrations show {:?}, but the episodes {seen:?}; give it those that the ensemble learned from",
-            pairs.observation()
+            transitions.observation()
         )));
     }
     let frames = store(header, episodes);
     let slots: Vec<usize> = (0..frames.len()).collect();
     let actions: Vec<f32> = episodes.iter().flat_map(|episode| &episode.actions).copied().collect();
-    let (one, each) = signal::limits(ensemble, &pairs, params.quantile, params.thresholds)?;
+    let (one, each) = signal::limits(ensemble, &transitions, params.quantile, params.thresholds)?;
     let costs = signal::costs(ensemble, &frames, &slots, &actions)?;
     let limit = |action: &[f32]| signal::limit(one, &each, action);
     let limits: Vec<f64> = actions.chunks_exact(header.action_dims).map(limit).collect();
-    let pairs = costs.iter().zip(&limits);
-    let signals = pairs.map(|(cost, limit)| disagreement::reward(params.reward, *cost, *limit)).collect();
+    let judged = costs.iter().zip(&limits);
+    let signals = judged.map(|(cost, limit)| disagreement::reward(params.reward, *cost, *limit)).collect();
     let choices = match known.actions {
         ActionSpace::Continuous { .. } => Vec::new(),
         ActionSpace::Discrete { .. } => {

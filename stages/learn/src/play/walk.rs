@@ -1,6 +1,6 @@
 //! Recorded actions, played again from the seed of their episode: what an environment gives that no recording keeps.
 
-use dril_envs::film::{Film, Format};
+use dril_envs::recordings::video::{Format, Video};
 use dril_envs::{DemosHeader, Env, EnvConfig, EnvError, Episode, MapLine, Pose};
 use dril_stage_api::{Ctx, StageError};
 
@@ -21,7 +21,7 @@ pub(super) struct Walk {
     /// The lines of its world.
     pub(super) map: Vec<MapLine>,
     /// Its images, where they were asked for; empty otherwise.
-    film: Film,
+    video: Video,
 }
 
 impl Walk {
@@ -55,13 +55,13 @@ impl Walk {
         let mut walk = Self { map: env.map(), ..Self::default() };
         for (step, action) in episode.actions.chunks_exact(header.action_dims.max(1)).enumerate() {
             if draws && step % every == 0 {
-                walk.film.push(&env.render(WIDTH as usize, height(&header.env))?)?;
+                walk.video.push(&env.render(WIDTH as usize, height(&header.env))?)?;
             }
             walk.rewards.push(env.step(action)?.reward);
             walk.poses.push(env.pose());
         }
         if draws {
-            walk.film.push(&env.render(WIDTH as usize, height(&header.env))?)?;
+            walk.video.push(&env.render(WIDTH as usize, height(&header.env))?)?;
         }
         Ok(walk)
     }
@@ -73,12 +73,12 @@ impl Walk {
     pub(super) fn write_images(&self, ctx: &Ctx<'_>) -> Result<(), StageError> {
         let milliseconds = (1000.0 / RATE) as u32;
         for (port, format) in [("strip", Format::Strip), ("video", Format::Gif)] {
-            self.film.write(ctx.output(port)?, format, milliseconds).map_err(StageError::failed)?;
+            self.video.write(ctx.output(port)?, format, milliseconds).map_err(StageError::failed)?;
         }
         Ok(())
     }
 }
 
 fn height(env: &EnvConfig) -> usize {
-    (WIDTH / env.picture_ratio()).round() as usize
+    (WIDTH / env.aspect_ratio()).round() as usize
 }

@@ -1,23 +1,22 @@
-//! Independent Beta distributions over [0, 1], one for each action dimension: closed forms over one row, in double
-//! precision.
+//! Independent Beta distributions over [0, 1], one per action dimension: closed forms for one row, in double precision.
 //!
-//! The network gives u and w; α = softplus(u) + 1 and β = softplus(w) + 1 exceed 1, so that the density has one peak and
+//! The network outputs u and w; α = softplus(u) + 1 and β = softplus(w) + 1 exceed 1, so that the density has one mode and
 //! vanishes at both ends. Single precision is not enough: at concentrations of 1e5 its log-density is off by as much as
 //! the clip range of an update.
 
 use dril_stage_api::{draw, math};
 use rand::Rng;
 
-use super::distribution::{Weights, add};
+use super::weights::{Weights, add};
 
-/// Samples are kept this far from 0 and 1: at the ends the log-density is not finite, and in single precision a sample
-/// can round to them.
+/// Minimum distance of samples from 0 and 1: there, the log-density is not finite, and in single precision a sample can
+/// round to them.
 pub const EDGE: f32 = 1e-6;
 
 /// One dimension's distribution.
 #[derive(Clone, Copy)]
 struct Shapes {
-    /// α − 1 and β − 1, without the rounding that adding 1 brings.
+    /// α − 1 and β − 1, without the rounding error of adding 1.
     above: (f64, f64),
     alpha: f64,
     beta: f64,
@@ -56,7 +55,7 @@ impl Shapes {
         (math::digamma(self.alpha) - both, math::digamma(self.beta) - both)
     }
 
-    /// The gradients of the weighted sum of log-density and entropy for u and w.
+    /// The gradients of the weighted sum of log-density and entropy with respect to u and w.
     fn gradient(self, x: f32, weights: Weights) -> (f64, f64) {
         let (left, right) = logarithms(x);
         let (mean_left, mean_right) = self.mean_logarithms();
@@ -92,15 +91,15 @@ pub(super) fn entropy(u: &[f32], w: &[f32]) -> f64 {
     shapes(u, w).map(Shapes::entropy).sum()
 }
 
-/// The mean of each dimension, kept from the ends.
+/// The mean of each dimension, clamped away from the ends.
 pub(super) fn mean(u: &[f32], w: &[f32], sample: &mut [f32]) {
     for (shapes, x) in shapes(u, w).zip(sample) {
         *x = inside(shapes.mean());
     }
 }
 
-/// Draws one number for each dimension, kept from the ends. Shapes that are not numbers (a network that has diverged)
-/// give one that is none: the update that follows reports it with its cause.
+/// Samples each dimension, clamped away from the ends. NaN shapes (of a diverged network) give NaN, which the next update
+/// reports with its cause.
 pub(super) fn sample<R: Rng + ?Sized>(u: &[f32], w: &[f32], rng: &mut R, sample: &mut [f32]) {
     for (shapes, x) in shapes(u, w).zip(sample) {
         *x = inside(draw::beta(rng, shapes.alpha, shapes.beta));
@@ -111,7 +110,7 @@ fn inside(x: f64) -> f32 {
     (x as f32).clamp(EDGE, 1.0 - EDGE)
 }
 
-/// Adds the gradients for u and w.
+/// Adds the gradients with respect to u and w.
 pub(super) fn add_gradient(
     (u, w): (&[f32], &[f32]),
     sample: &[f32],
@@ -132,8 +131,8 @@ pub(super) fn mean_actions<'a>(u: &'a [f32], w: &'a [f32]) -> impl Iterator<Item
     shapes(u, w).map(|s| (s.above.0 - s.above.1) / (s.alpha + s.beta))
 }
 
-/// Adds the gradients for u and w of a function of the mean actions (see [`mean_actions`]), whose gradients for those
-/// are `slopes`.
+/// Adds the gradients with respect to u and w of a function of the mean actions (see [`mean_actions`]), given its
+/// gradients `slopes` with respect to those.
 pub(super) fn add_mean_gradient(
     (u, w): (&[f32], &[f32]),
     slopes: impl Iterator<Item = f64>,

@@ -1,65 +1,52 @@
-//! The distribution over actions for one observation, from the raw outputs of the network: log-density, entropy, draws
-//! and gradients, in double precision and with equal bits on every machine.
+//! The action distribution for one observation, from the raw outputs of the network: log-density, entropy, samples and
+//! gradients, in double precision and with the same bits on every machine.
 //!
-//! Gradients are written down by hand instead of derived by a library: the formulas are few, and the functions in them
-//! must be those of [`dril_stage_api::math`]. Nothing here allocates.
+//! Gradients are hand-written instead of by autograd: there are few formulas, and they must use the functions of
+//! [`dril_stage_api::math`]. Nothing here allocates.
 
 use rand::Rng;
 
+use super::weights::{Weights, add};
 use super::{beta, categorical, gaussian};
 
-/// One row of what a network's head gave: the parameters of a distribution over actions.
+/// One row of the head's outputs: the parameters of an action distribution.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Row<'a> {
-    /// Independent normal distributions.
+    /// Diagonal Gaussian.
     Gaussian {
-        /// Means, one for each dimension.
+        /// Means, one per dimension.
         mean: &'a [f32],
-        /// Logarithms of the standard deviations: a parameter that all rows share.
+        /// Log standard deviations, shared by all rows.
         log_std: &'a [f32],
     },
     /// Independent Beta distributions over [0, 1] with α = softplus(u) + 1 and β = softplus(w) + 1.
     Beta {
-        /// One for each dimension.
+        /// One per dimension.
         u: &'a [f32],
-        /// One for each dimension.
+        /// One per dimension.
         w: &'a [f32],
     },
-    /// One of several choices.
+    /// Categorical.
     Categorical {
-        /// Logarithms of the probabilities, up to a constant.
+        /// Unnormalised log-probabilities.
         logits: &'a [f32],
     },
 }
 
-/// What a row's gradients are added to. Which slices are used depends on the family; the others may be empty.
+/// Where the gradients of a row are accumulated. Which slices are used depends on the family; the others may be empty.
 #[derive(Debug)]
 pub struct RowGradient<'a> {
-    /// For the head's first output: means, u or logits.
+    /// With respect to the head's first output: means, u or logits.
     pub first: &'a mut [f32],
-    /// For its second: w.
+    /// With respect to its second output: w.
     pub second: &'a mut [f32],
-    /// For the parameter that all rows share: `log_std`.
+    /// With respect to the shared parameter: `log_std`.
     pub shared: &'a mut [f64],
 }
 
-/// How much the two quantities of a row weigh in what is minimised: its derivatives for them.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Weights {
-    /// For the log-density of the row's sample.
-    pub log_prob: f64,
-    /// For the row's entropy.
-    pub entropy: f64,
-}
-
-/// Adds in double precision, rounded once.
-pub(super) fn add(into: &mut f32, value: f64) {
-    *into = (f64::from(*into) + value) as f32;
-}
-
 impl Row<'_> {
-    /// The log-density of a sample, summed over dimensions; of a choice the logarithm of its probability. In the
-    /// sample's own scale: the Beta's stretch to [-1, 1] is a constant that no ratio sees.
+    /// The log-density of a sample, summed over dimensions; for a discrete action, its log-probability. In the sample's own
+    /// range: the Beta's rescaling to [-1, 1] is a constant that cancels in ratios.
     pub fn log_prob(&self, sample: &[f32]) -> f64 {
         match *self {
             Self::Gaussian { mean, log_std } => gaussian::log_prob(mean, log_std, sample),
@@ -77,7 +64,7 @@ impl Row<'_> {
         }
     }
 
-    /// The mean of each dimension, in the sample's scale, into `sample`; of choices the likeliest.
+    /// Writes the mean of each dimension, in the sample's range, to `sample`; the most likely discrete action.
     pub fn mean(&self, sample: &mut [f32]) {
         match *self {
             Self::Gaussian { mean, .. } => sample.copy_from_slice(mean),
@@ -86,7 +73,7 @@ impl Row<'_> {
         }
     }
 
-    /// Draws a sample from the stream into `sample`.
+    /// Writes a sample drawn from the stream to `sample`.
     pub fn sample<R: Rng + ?Sized>(&self, stream: &mut R, sample: &mut [f32]) {
         match *self {
             Self::Gaussian { mean, log_std } => gaussian::sample(mean, log_std, stream, sample),
@@ -95,8 +82,8 @@ impl Row<'_> {
         }
     }
 
-    /// Adds `weights.log_prob` · d log_prob(sample) + `weights.entropy` · d entropy, for the raw outputs and the shared
-    /// parameter.
+    /// Adds `weights.log_prob` · d log_prob(sample) + `weights.entropy` · d entropy, with respect to the raw outputs and the
+    /// shared parameter.
     pub fn add_gradient(&self, sample: &[f32], weights: Weights, into: RowGradient<'_>) {
         let RowGradient { first, second, shared } = into;
         match *self {
@@ -108,8 +95,8 @@ impl Row<'_> {
         }
     }
 
-    /// What behaviour cloning lowers: the mean over dimensions of the squared error of the mean action, both clamped to
-    /// [-1, 1] as the environment does it; of choices −ln p. `demonstrated` is in the environment's scale.
+    /// The loss of behaviour cloning: the mean squared error of the mean action over dimensions, both clamped to [-1, 1] as
+    /// in the environment; −ln p for a discrete action. `demonstrated` is in the environment's range.
     pub fn cloning_loss(&self, demonstrated: &[f32]) -> f64 {
         match *self {
             Self::Gaussian { mean, .. } => squared_error(means(mean), demonstrated),
@@ -118,7 +105,8 @@ impl Row<'_> {
         }
     }
 
-    /// Adds `weight` times the gradient of [`Row::cloning_loss`] for the raw outputs. A mean beyond [-1, 1] has none.
+    /// Adds `weight` times the gradient of [`Row::cloning_loss`] with respect to the raw outputs. It is 0 for a mean outside
+    /// [-1, 1].
     pub fn add_cloning_gradient(&self, demonstrated: &[f32], weight: f64, into: RowGradient<'_>) {
         let RowGradient { first, second, shared } = into;
         match *self {
@@ -156,7 +144,7 @@ fn squared_error(predicted: impl Iterator<Item = f64>, demonstrated: &[f32]) -> 
     errors.sum::<f64>() / demonstrated.len() as f64
 }
 
-/// `weight` times its derivatives for the predictions.
+/// `weight` times its derivatives with respect to the predictions.
 fn error_slopes(
     predicted: impl Iterator<Item = f64>,
     demonstrated: &[f32],

@@ -1,4 +1,4 @@
-//! A policy as a file: weights with a description of the agent in their metadata.
+//! The file format of policies: weights, with the architecture in the metadata.
 
 use std::path::Path;
 
@@ -11,17 +11,17 @@ use super::{Architecture, Policy};
 use crate::nn::weights;
 use crate::training::normalize::ObservationStatistics;
 
-/// The content of the file's metadata.
+/// The metadata of the file.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct About {
-    /// Tells policies from ensembles, and this layout from later ones.
+    /// Distinguishes policies from ensembles, and this layout from later ones.
     format: String,
     architecture: ArchitectureV1,
-    /// What observations are scaled by; left out where they are not.
+    /// Observation statistics; left out if observations are not normalised.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     statistics: Option<ObservationStatistics>,
-    /// The step at which training diverged, so that these are the last finite weights; left out where it did not.
+    /// The step at which training diverged, so that these are the last finite weights; left out otherwise.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     diverged_at_step: Option<u64>,
 }
@@ -33,7 +33,7 @@ struct ArchitectureV1 {
     network: Network,
     family: PolicyFamily,
     observation: ObservationV1,
-    /// Dimensions of an action, or choices.
+    /// Action dimensions, or number of discrete actions.
     actions: usize,
 }
 
@@ -84,10 +84,10 @@ impl From<ArchitectureV1> for Architecture {
 const FORMAT: &str = "policy-v1";
 
 impl Policy {
-    /// The bytes of its file.
+    /// The policy as a file.
     ///
     /// # Errors
-    /// The description cannot be written as JSON.
+    /// The metadata cannot be serialised.
     pub fn to_bytes(&self) -> Result<Vec<u8>, StageError> {
         let about = About {
             format: FORMAT.to_owned(),
@@ -98,7 +98,7 @@ impl Policy {
         weights::to_bytes(&about, self.params())
     }
 
-    /// Writes its file.
+    /// Writes the policy to a file.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -109,7 +109,7 @@ impl Policy {
     /// Reads the policy at the input `port`.
     ///
     /// # Errors
-    /// The file cannot be read or holds no policy; the message says what was seen and expected.
+    /// The file cannot be read, or is not a policy.
     pub fn load(port: &str, path: &Path) -> Result<Self, StageError> {
         let file = weights::read(port, path)?;
         let about: About = file.about(port, path)?;

@@ -1,4 +1,4 @@
-//! Independent normal distributions over the action dimensions: closed forms over one row, in double precision.
+//! Diagonal Gaussian distributions: closed forms for one row, in double precision.
 //!
 //! With z = (x − μ) / σ: ln p = Σ −½ z² − ln σ − ½ ln 2π, d ln p / dμ = z / σ, d ln p / d ln σ = z² − 1; the entropy is
 //! Σ ln σ + ½ + ½ ln 2π.
@@ -6,7 +6,7 @@
 use dril_stage_api::{draw, math};
 use rand::Rng;
 
-use super::distribution::{Weights, add};
+use super::weights::{Weights, add};
 
 /// ½ ln 2π.
 const HALF_LN_TAU: f64 = 0.918_938_533_204_672_8;
@@ -25,14 +25,14 @@ pub(super) fn entropy(log_std: &[f32]) -> f64 {
     log_std.iter().map(|&log_std| f64::from(log_std) + 0.5 + HALF_LN_TAU).sum()
 }
 
-/// Draws one number for each dimension.
+/// Samples each dimension.
 pub(super) fn sample<R: Rng + ?Sized>(mean: &[f32], log_std: &[f32], rng: &mut R, sample: &mut [f32]) {
     for ((&mean, &log_std), x) in mean.iter().zip(log_std).zip(sample) {
         *x = (f64::from(mean) + math::exp(f64::from(log_std)) * draw::normal(rng)) as f32;
     }
 }
 
-/// Adds the gradients for the means and for the logarithms of the deviations.
+/// Adds the gradients with respect to the means and the log standard deviations.
 pub(super) fn add_gradient(
     (mean, log_std): (&[f32], &[f32]),
     sample: &[f32],

@@ -1,23 +1,24 @@
-//! Gradients of a loss with respect to what an agent answered to a batch.
+//! Gradients of a loss with respect to a policy's outputs for a batch.
 
-use super::distribution::{RowGradient, Weights};
+use super::distribution::RowGradient;
+use super::weights::Weights;
 use super::{Head, Policy, Row};
 
-/// The gradients of the outputs of an agent's head and critic, filled row by row.
+/// Gradients with respect to the outputs of a policy's head and critic, filled row by row.
 #[derive(Clone, Debug)]
 pub struct OutputGradients {
     /// For each output of the head, [rows, outputs].
     pub(super) heads: Vec<Vec<f32>>,
-    /// Of a Gaussian's logarithmic deviations, summed over rows; none where the loss does not depend on them.
+    /// With respect to a Gaussian's log standard deviations, summed over rows; none if the loss does not depend on them.
     pub(super) log_std: Option<Vec<f64>>,
-    /// Of the state values, [rows]; none where the loss does not depend on them.
+    /// With respect to the state values, [rows]; none if the loss does not depend on them.
     pub(super) values: Option<Vec<f32>>,
-    /// Numbers in a row of each output of the head.
+    /// Length of a row of each output of the head.
     len: usize,
 }
 
 impl OutputGradients {
-    /// Zero, for `rows` rows of the answers of `policy`.
+    /// Zeros, for `rows` rows of outputs of `policy`.
     pub fn new(policy: &Policy, rows: usize) -> Self {
         let len = policy.architecture.actions.outputs();
         let heads = policy.head.nodes().iter().map(|_| vec![0.0; rows * len]).collect();
@@ -25,7 +26,7 @@ impl OutputGradients {
         Self { heads, log_std, values: Some(vec![0.0; rows]), len }
     }
 
-    /// The same where the loss depends on the mean action only.
+    /// The same for a loss that depends on the mean action only.
     pub fn of_mean(policy: &Policy, rows: usize) -> Self {
         Self { log_std: None, values: None, ..Self::new(policy, rows) }
     }
@@ -35,7 +36,7 @@ impl OutputGradients {
         row.add_gradient(sample, weights, self.row(at));
     }
 
-    /// Adds `weight` times the gradients of a row's loss of behaviour cloning; gives that loss.
+    /// Adds `weight` times the gradients of a row's behaviour cloning loss, and returns that loss.
     pub fn add_cloning_row(&mut self, row: &Row<'_>, at: usize, demonstrated: &[f32], weight: f64) -> f64 {
         row.add_cloning_gradient(demonstrated, weight, self.row(at));
         row.cloning_loss(demonstrated)

@@ -6,19 +6,19 @@ use super::Row;
 use crate::nn::trunk::Trunk;
 use crate::nn::{Activation, Builder, Init, LayerInit, NodeId, ParamId, Parameters, Sequential};
 
-/// How the head of a new agent begins.
+/// Initialisation of a new policy's head.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HeadInit {
-    /// The gain of the orthogonal weights of Gaussian and Beta heads.
+    /// Gain of the orthogonal initialisation of Gaussian and Beta heads.
     pub gain: f64,
-    /// The Gaussian's standard deviation.
+    /// Standard deviation of a Gaussian.
     pub deviation: f64,
-    /// The bias of the Gaussian's mean, one number for each dimension; empty: 0.
+    /// Mean action of a Gaussian (bias of the last layer), one number per dimension; empty: zeros.
     pub mean: Vec<f64>,
 }
 
 impl Default for HeadInit {
-    /// As in the reference code: gain 1, deviation 1, bias 0.
+    /// As in the reference code: gain 1, standard deviation 1, mean 0.
     fn default() -> Self {
         Self { gain: 1.0, deviation: 1.0, mean: Vec::new() }
     }
@@ -61,7 +61,7 @@ impl Head {
         }
     }
 
-    /// The parts of the network, in the order in which [`Head::row`] takes their outputs.
+    /// The nodes of the network, in the order of the outputs in [`Head::row`].
     pub(super) fn nodes(&self) -> Vec<NodeId> {
         match self {
             Self::Gaussian { mean, .. } => vec![*mean],
@@ -70,7 +70,7 @@ impl Head {
         }
     }
 
-    /// The parameter that no layer gives, where there is one.
+    /// The parameter that does not belong to a layer, if there is one.
     pub(super) fn log_std(&self) -> Option<ParamId> {
         match self {
             Self::Gaussian { log_std, .. } => Some(*log_std),
@@ -78,7 +78,7 @@ impl Head {
         }
     }
 
-    /// The distribution of one row of the outputs, of `len` numbers each.
+    /// The distribution of one row of outputs, of length `len` each.
     pub(super) fn row<'a>(
         &self,
         params: &'a Parameters,

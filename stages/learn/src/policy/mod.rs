@@ -1,13 +1,14 @@
-//! The agent: a network with the head of a policy family, and the distribution over actions that it gives.
+//! Policies: a network with the head of a policy family, and its action distribution.
 //!
-//! Two scales are told apart throughout. A *sample* lies in the family's own support (the real line for the Gaussian,
-//! the open unit interval for the Beta) and is what log-probabilities are taken of; an *action* lies in the
-//! environment's units, where [-1, 1] is the range of every dimension. [`to_action`] maps one to the
-//! other; actions are clipped only where they are handed to the environment.
+//! Samples and actions are distinguished throughout. A *sample* lies in the support of the distribution (the real line
+//! for the Gaussian, the open unit interval for the Beta), and log-probabilities refer to it. An *action* is in the
+//! environment's units, where [-1, 1] is the range of every dimension. [`to_action`] converts a sample to an action;
+//! actions are clipped only when they are passed to the environment.
 
 mod beta;
 mod categorical;
 mod distribution;
+mod family;
 pub(crate) mod file;
 mod gaussian;
 mod gradients;
@@ -16,6 +17,7 @@ mod head;
 mod oracle;
 #[cfg(test)]
 mod tests;
+mod weights;
 
 use dril_envs::{ActionSpace, ObservationSpace};
 use dril_kinds::{Network, PolicyFamily};
@@ -25,13 +27,15 @@ use crate::nn::trunk::{Trunk, takes};
 use crate::nn::{self, Batch, Builder, Gradients, NodeId, ParamId, Parameters, Tape, Wanted};
 use crate::training::normalize::ObservationStatistics;
 
+pub use family::check_family;
 use head::Head;
 
-pub use distribution::{Row, RowGradient, Weights};
+pub use distribution::{Row, RowGradient};
 pub use gradients::OutputGradients;
 pub use head::HeadInit;
+pub use weights::Weights;
 
-/// The action of a sample, not clipped: the Gaussian's sample itself, 2x − 1 for the Beta, a choice's number.
+/// The action of a sample, not clipped: the sample itself for Gaussian and categorical, 2x − 1 for Beta.
 pub fn to_action(family: PolicyFamily, sample: f32) -> f32 {
     match family {
         PolicyFamily::Gaussian | PolicyFamily::Categorical => sample,
@@ -39,7 +43,7 @@ pub fn to_action(family: PolicyFamily, sample: f32) -> f32 {
     }
 }
 
-/// The action as an environment takes it: numbers within [-1, 1], or a choice as it is.
+/// The action as the environment uses it: continuous actions clipped to [-1, 1], discrete ones unchanged.
 pub fn to_environment(family: PolicyFamily, action: f32) -> f32 {
     match family {
         PolicyFamily::Gaussian | PolicyFamily::Beta => action.clamp(-1.0, 1.0),
@@ -47,40 +51,40 @@ pub fn to_environment(family: PolicyFamily, action: f32) -> f32 {
     }
 }
 
-/// All that determines the layout of an agent's parameters.
+/// The architecture of a policy; determines the layout of its parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Architecture {
-    /// The layers.
+    /// The network.
     pub network: Network,
-    /// The head.
+    /// The policy family.
     pub family: PolicyFamily,
-    /// The input.
+    /// Observation space.
     pub observation: ObservationSpace,
-    /// The output.
+    /// Action space.
     pub actions: ActionSpace,
 }
 
 impl Architecture {
-    /// How many numbers an action has: one for a choice.
+    /// Values per action; 1 for discrete actions.
     pub fn action_len(&self) -> usize {
         self.actions.action_len()
     }
 }
 
-/// An agent that can act and learn.
+/// A policy with its value function (actor and critic).
 #[derive(Debug)]
 pub struct Policy {
     architecture: Architecture,
     network: nn::Network,
     head: Head,
     critic: NodeId,
-    /// What observation vectors are scaled by before the network sees them; none where they are shown as they are.
+    /// Statistics that normalise vector observations; none if they are not normalised.
     pub statistics: Option<ObservationStatistics>,
-    /// The environment step at which the training that made it diverged; none where it did not.
+    /// The environment step at which its training diverged; none otherwise.
     pub diverged_at_step: Option<u64>,
 }
 
-/// Which parts of an agent are computed.
+/// Which outputs are computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Parts {
     /// The distribution over actions.
@@ -91,28 +95,28 @@ pub enum Parts {
     Both,
 }
 
-/// What an agent answers to a batch of observations.
+/// The outputs of a policy for a batch of observations.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Answers {
-    /// The outputs of the head, each [rows, outputs]; empty where the actor was not computed.
+    /// Outputs of the head, each [rows, outputs]; empty if the actor was not computed.
     heads: Vec<Vec<f32>>,
-    /// The state values, [rows]; empty where the critic was not computed.
+    /// State values, [rows]; empty if the critic was not computed.
     pub values: Vec<f32>,
 }
 
 impl Policy {
-    /// A new agent with weights drawn from the stream, as the reference code begins.
+    /// A new policy with weights drawn from the stream, initialised as in the reference code.
     ///
     /// # Errors
-    /// The network does not take such observations, the family does not give such actions, or there is no action.
+    /// The network or the family does not match the spaces, or there is no action dimension.
     pub fn new(architecture: Architecture, stream: &mut StreamRng) -> Result<Self, StageError> {
         Self::with_head(architecture, &HeadInit::default(), stream)
     }
 
-    /// The same with another start of the head.
+    /// As [`Policy::new`], with another initialisation of the head.
     ///
     /// # Errors
-    /// As [`Policy::new`], or `init` has means for another number of dimensions.
+    /// As [`Policy::new`], or `init` has another number of dimensions.
     pub fn with_head(
         architecture: Architecture,
         init: &HeadInit,
@@ -125,7 +129,7 @@ impl Policy {
         Ok(policy)
     }
 
-    /// With weights of 0, to be replaced by those of a file.
+    /// With zero weights, to be replaced by those of a file.
     fn blank(architecture: Architecture) -> Result<Self, StageError> {
         Self::build(architecture, &HeadInit::default(), None)
     }
@@ -161,7 +165,7 @@ impl Policy {
         Ok(())
     }
 
-    /// What determines the layout of its parameters.
+    /// The architecture.
     pub fn architecture(&self) -> Architecture {
         self.architecture
     }
@@ -171,7 +175,7 @@ impl Policy {
         &self.network.params
     }
 
-    /// The weights, to be changed.
+    /// The weights, mutable.
     pub fn params_mut(&mut self) -> &mut Parameters {
         &mut self.network.params
     }
@@ -192,31 +196,31 @@ impl Policy {
         Answers { heads: outputs, values: values.unwrap_or_default() }
     }
 
-    /// The answers to a batch of observations (see [`crate::data::frames::FrameStore::gather`]), with what a backward
-    /// pass needs.
+    /// The outputs for a batch of observations (see [`crate::data::frames::FrameStore::gather`]), with the tape for the
+    /// backward pass.
     pub fn forward(&self, observations: &Batch, parts: Parts) -> (Answers, Tape) {
         let wanted = self.wanted(parts, observations.rows());
         let (outputs, tape) = self.network.forward(observations, &wanted);
         (self.answers(parts, outputs), tape)
     }
 
-    /// The answers alone.
+    /// The outputs only.
     pub fn infer(&self, observations: &Batch, parts: Parts) -> Answers {
         let wanted = self.wanted(parts, observations.rows());
         self.answers(parts, self.network.infer(observations, &wanted))
     }
 
-    /// The state values alone, [rows].
+    /// The state values only, [rows].
     pub fn values(&self, observations: &Batch) -> Vec<f32> {
         self.infer(observations, Parts::Critic).values
     }
 
-    /// The distribution over actions of one row of answers that the actor was computed for.
+    /// The action distribution of one row of outputs that include the actor's.
     pub fn row<'a>(&'a self, answers: &'a Answers, row: usize) -> Row<'a> {
         self.head.row(self.params(), &answers.heads, (row, self.architecture.actions.outputs()))
     }
 
-    /// Writes the gradients of the parameters, given those of the answers to the same batch.
+    /// Writes the gradients of the parameters, given those of the outputs for the same batch.
     pub fn backward(
         &self,
         observations: &Batch,
@@ -237,7 +241,7 @@ impl Policy {
         self.network.backward(observations, tape, arrived, gradients);
     }
 
-    /// The parameters that the mean action depends on or may: all but the critic's own.
+    /// All parameters except the critic's own: those that the mean action may depend on.
     pub fn actor_ids(&self) -> Vec<ParamId> {
         let params = self.params();
         params.ids().filter(|id| !params.spec(*id).name.starts_with("critic.")).collect()
@@ -252,27 +256,28 @@ fn check(architecture: Architecture) -> Result<(), StageError> {
             ObservationSpace::Vector { .. } => ("a vector", "`mlp`"),
         };
         let message = format!(
-            "the network `{}` does not fit an environment that shows {seen}; set `network` to {remedy}",
+            "the network `{}` does not match the environment's observations ({seen}); set `network` to {remedy}",
             name(network)
         );
         return Err(StageError::failed(message));
     }
     check_frames(observation)?;
-    crate::spaces::check_family(actions, family)?;
+    check_family(actions, family)?;
     if actions.outputs() == 0 {
         return Err(StageError::failed("the environment has no action dimension, expected at least one"));
     }
     Ok(())
 }
 
-/// Fails where the convolutions cannot take the frames.
+/// Checks that the convolutions support the size of the frames.
 pub(crate) fn check_frames(observation: ObservationSpace) -> Result<(), StageError> {
     match observation {
         ObservationSpace::Image { height, width, stack }
             if height < 36 || width < 36 || height % 4 != 0 || width % 4 != 0 || stack == 0 =>
         {
             Err(StageError::failed(format!(
-                "frames are {height}x{width} in stacks of {stack}, expected multiples of 4 from 36 on and a stack"
+                "frames are {height}x{width} in stacks of {stack}, expected sides of at least 36 that are multiples of 4, and a \
+                 stack of at least 1"
             )))
         }
         _ => Ok(()),

@@ -1,8 +1,8 @@
-//! Checkpoints: the whole state of a long stage in one file, so that it goes on bit-identically.
+//! Checkpoints: the whole state of a long stage in one file, from which it resumes bit-identically.
 //!
 //! The state is a small serialisable value (counters, random streams, log rows) and named arrays (weights, moments,
-//! frames, environments). The file is written beside its place and renamed, so a crash leaves the old one; its digest
-//! stands in front, so a file that is cut off or damaged is known as such and the work starts anew.
+//! frames, environments). The file is written under a temporary name and renamed, so that a crash leaves the old one. It
+//! starts with its digest, so that a truncated or damaged file is recognised, and the stage restarts.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -21,7 +21,7 @@ const FILE: &str = "state";
 pub struct Arrays(BTreeMap<String, Vec<u8>>);
 
 impl Arrays {
-    /// None yet.
+    /// No arrays.
     pub fn new() -> Self {
         Self::default()
     }
@@ -36,18 +36,18 @@ impl Arrays {
         self.put(name, values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>());
     }
 
-    /// Takes bytes out.
+    /// Removes and returns bytes.
     ///
     /// # Errors
-    /// There are none of that name.
+    /// There is no array of that name.
     pub fn take(&mut self, name: &str) -> Result<Vec<u8>, StageError> {
         self.0.remove(name).ok_or_else(|| foreign(&format!("it has no `{name}`")))
     }
 
-    /// Takes numbers out.
+    /// Removes and returns numbers.
     ///
     /// # Errors
-    /// There are none of that name, or not `len` of them.
+    /// There is no array of that name, or its length is not `len`.
     pub fn take_f32(&mut self, name: &str, len: usize) -> Result<Vec<f32>, StageError> {
         let bytes = self.take(name)?;
         if bytes.len() != 4 * len {
@@ -57,14 +57,14 @@ impl Arrays {
     }
 }
 
-/// The error for a checkpoint that is whole but holds something else than this stage's state.
+/// The error for an intact checkpoint that is not from this stage.
 pub fn foreign(what: &str) -> StageError {
     StageError::failed(format!(
         "the checkpoint is of another program version: {what}; empty the checkpoint folder to start anew"
     ))
 }
 
-/// Writes the checkpoint of this stage over the last one.
+/// Writes the checkpoint of this stage, replacing the last one.
 ///
 /// # Errors
 /// The folder cannot be written to.
@@ -81,10 +81,10 @@ pub fn save<S: Serialize>(folder: &Path, state: &S, arrays: &Arrays) -> Result<(
     std::fs::rename(&temporary, &path).map_err(StageError::io("cannot rename to", &path))
 }
 
-/// Reads the checkpoint of this stage; `None` where there is none, or one that is cut off or damaged.
+/// Reads the checkpoint of this stage; `None` if there is none, or if it is truncated or damaged.
 ///
 /// # Errors
-/// The file cannot be read, or is whole and holds something else (see [`foreign`]).
+/// The file cannot be read, or is intact but from another stage (see [`foreign`]).
 pub fn load<S: DeserializeOwned>(folder: &Path) -> Result<Option<(S, Arrays)>, StageError> {
     let path = folder.join(FILE);
     let bytes = match std::fs::read(&path) {

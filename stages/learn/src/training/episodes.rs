@@ -1,4 +1,4 @@
-//! The output `episodes` of trainings: one row per finished episode (columns: [`dril_kinds::EPISODE_COLUMNS`]).
+//! The training output `episodes`: one row per finished episode (columns: [`dril_kinds::EPISODE_COLUMNS`]).
 
 use dril_envs::FinishedEpisode;
 use dril_kinds::EPISODE_COLUMNS;
@@ -24,14 +24,13 @@ struct Row {
 }
 
 impl EpisodeLog {
-    /// Adds an episode that ended when `step` environment steps and `update` updates were done.
+    /// Adds an episode that ended after `step` environment steps and `update` updates.
     pub fn push(&mut self, step: u64, update: u64, episode: &FinishedEpisode) {
         let &FinishedEpisode { seed, score, length, .. } = episode;
         self.rows.push(Row { step, update, seed, score, length, u_signal: None });
     }
 
-    /// The U-signals of the episodes that ended since the last call, in order; none where the training has no such
-    /// signal.
+    /// Adds the U-signals of the episodes that ended since the last call, in order; none if the training has no such signal.
     pub fn add_signals(&mut self, signals: &[f64]) {
         for (row, signal) in self.rows[self.unsigned..].iter_mut().zip(signals) {
             row.u_signal = Some(*signal);
@@ -39,7 +38,7 @@ impl EpisodeLog {
         self.unsigned = self.rows.len();
     }
 
-    /// The CSV file: shortest decimal forms that read back to the same numbers.
+    /// The CSV file; numbers in the shortest form that reads back exactly.
     ///
     /// # Errors
     /// The rows cannot be written as CSV.

@@ -1,6 +1,6 @@
-//! The training log: one row for each update or epoch, the same columns for every kind of training it concerns.
+//! The training log: one row for each update or epoch.
 //!
-//! No clock reaches it: the log is an artifact, and equal work gives equal bytes. Speed goes to the progress line.
+//! It contains no times: the log is an artifact, and equal work gives equal bytes. Speed is shown in the progress line.
 
 use std::collections::VecDeque;
 use std::time::Instant;
@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TrainingLog {
     columns: Vec<String>,
-    /// Empty cells are numbers that do not exist (no episode has ended yet).
+    /// Empty cells are values that do not exist (no episode has ended yet).
     rows: Vec<Vec<Option<f64>>>,
 }
 
@@ -27,18 +27,18 @@ impl TrainingLog {
         &self.columns
     }
 
-    /// Appends a row, in the order of the columns; what is not finite becomes an empty cell.
+    /// Appends a row, in the order of the columns; values that are not finite become empty cells.
     pub fn push(&mut self, row: &[f64]) {
         debug_assert_eq!(row.len(), self.columns.len());
         self.rows.push(row.iter().map(|&value| value.is_finite().then_some(value)).collect());
     }
 
-    /// How many rows there are.
+    /// Number of rows.
     pub fn len(&self) -> usize {
         self.rows.len()
     }
 
-    /// True where there is no row.
+    /// True if there is no row.
     pub fn is_empty(&self) -> bool {
         self.rows.is_empty()
     }
@@ -49,10 +49,10 @@ impl TrainingLog {
         *self.rows.last()?.get(index)?
     }
 
-    /// The CSV file: shortest decimal forms that read back to the same numbers.
+    /// The CSV file; numbers in the shortest form that reads back exactly.
     ///
     /// # Errors
-    /// None that is known of.
+    /// The rows cannot be serialised.
     pub fn to_csv(&self) -> Result<Vec<u8>, StageError> {
         let mut writer = csv::Writer::from_writer(Vec::new());
         writer.write_record(&self.columns).map_err(StageError::failed)?;
@@ -67,14 +67,14 @@ impl TrainingLog {
 /// The scores of finished training episodes, in the order in which they ended.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RecentScores {
-    /// The newest hundred, oldest first.
+    /// The latest hundred, oldest first.
     newest: VecDeque<f64>,
-    /// How many have ended in all.
+    /// Total number of finished episodes.
     pub episodes: u64,
 }
 
 impl RecentScores {
-    /// Adds the score of an episode that ended.
+    /// Adds the score of a finished episode.
     pub fn push(&mut self, score: f64) {
         if self.newest.len() == 100 {
             self.newest.pop_front();
@@ -83,19 +83,19 @@ impl RecentScores {
         self.episodes += 1;
     }
 
-    /// The score of the last one; not a number before the first.
+    /// The latest score; NaN before the first.
     pub fn last(&self) -> f64 {
         self.newest.back().copied().unwrap_or(f64::NAN)
     }
 
-    /// The mean over the last `count` (at most 100), or over all where there are fewer; not a number before the first.
+    /// The mean over the latest `count` (at most 100) scores, or over all if there are fewer; NaN before the first.
     pub fn mean(&self, count: usize) -> f64 {
         let taken = count.min(self.newest.len());
         self.newest.iter().rev().take(taken).sum::<f64>() / taken as f64
     }
 }
 
-/// How fast a stage works, for the progress line only.
+/// Measures the speed of a stage, for the progress line only.
 #[derive(Clone, Copy, Debug)]
 pub struct Speed {
     start: Instant,

@@ -1,4 +1,4 @@
-//! What every training needs around its algorithm: rollouts, running statistics, logs and checkpoints.
+//! The parts that trainings share: rollouts, running statistics, logs and checkpoints.
 
 pub mod checkpoint;
 pub mod episodes;

@@ -1,16 +1,16 @@
-//! Running statistics that training scales its inputs by: of observations and of rewards.
+//! Normalisation of observations and rewards by running statistics.
 //!
-//! Both are those of Stable-Baselines3's `VecNormalize`, which the annex's LunarLander experts were trained with; DRIL
-//! scales its rewards in the same way, without the clip.
+//! Both follow Stable-Baselines3's `VecNormalize`, which the annex's LunarLander experts were trained with; DRIL scales its
+//! rewards in the same way, without clipping.
 
 use dril_envs::Frame;
 use serde::{Deserialize, Serialize};
 
-/// The weight of the first guess (mean 0, variance 1), in observations.
+/// The weight of the prior (mean 0, variance 1), in observations.
 const PRIOR: f64 = 1e-4;
 /// Keeps divisors above 0.
 const EPSILON: f64 = 1e-8;
-/// What scaled observations are clipped to, and rewards where they are, on both sides of 0.
+/// Clipping range of normalised observations and (optionally) rewards, on both sides of 0.
 pub const LIMIT: f64 = 10.0;
 
 /// Merges `count` more values with this mean and population variance into running ones: (mean, variance, weight), after
@@ -33,14 +33,14 @@ fn moments(values: impl ExactSizeIterator<Item = f64> + Clone) -> (f64, f64) {
 
 /// Mean and variance of each number of an observation vector, over all observations so far.
 ///
-/// Running while an agent learns, fixed wherever it acts afterwards: an agent that has learnt with them cannot act
-/// without them, so they are kept in its file.
+/// Updated during training, and fixed afterwards: a policy that was trained with them needs them to act, so they are
+/// stored in its file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ObservationStatistics {
     mean: Vec<f64>,
     variance: Vec<f64>,
-    /// Observations so far, and the weight of the first guess.
+    /// Number of observations so far, plus the weight of the prior.
     weight: f64,
 }
 
@@ -50,7 +50,7 @@ impl ObservationStatistics {
         Self { mean: vec![0.0; len], variance: vec![1.0; len], weight: PRIOR }
     }
 
-    /// How many numbers an observation has.
+    /// Length of an observation.
     pub fn len(&self) -> usize {
         self.mean.len()
     }
@@ -60,7 +60,7 @@ impl ObservationStatistics {
         self.mean.is_empty()
     }
 
-    /// True where every number is one, and no variance is negative: what a file must hold.
+    /// True if all numbers are finite and no variance is negative, as required of a file.
     pub fn is_sound(&self) -> bool {
         let finite = |values: &[f64]| values.iter().all(|value| value.is_finite());
         self.mean.len() == self.variance.len()
@@ -70,7 +70,7 @@ impl ObservationStatistics {
             && self.weight > 0.0
     }
 
-    /// Takes one observation of every environment in; images are passed over.
+    /// Adds one observation of each environment; images are ignored.
     pub fn observe<'a>(&mut self, frames: impl Iterator<Item = Frame<'a>>) {
         let vectors: Vec<&[f32]> = frames
             .filter_map(|frame| match frame {
@@ -89,7 +89,7 @@ impl ObservationStatistics {
         self.weight += count;
     }
 
-    /// The vector in running deviations from the running mean, within ±[`LIMIT`].
+    /// The vector, normalised by running mean and standard deviation, and clipped to ±[`LIMIT`].
     pub fn scale(&self, vector: &[f32]) -> Vec<f32> {
         let parts = vector.iter().zip(&self.mean).zip(&self.variance);
         parts
@@ -100,37 +100,37 @@ impl ObservationStatistics {
     }
 }
 
-/// Scales rewards by the running standard deviation of their discounted sum (Engstrom et al. 2020, "Implementation
-/// Matters in Deep Policy Gradients"): no mean is subtracted, and the state lasts over all updates.
+/// Scales rewards by the running standard deviation of the discounted return (Engstrom et al. 2020, "Implementation
+/// Matters in Deep Policy Gradients"). No mean is subtracted, and the state is kept over all updates.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RewardNormalizer {
     gamma: f64,
-    /// The discounted sum so far, one an environment; 0 where an episode starts.
+    /// The discounted return so far, one per environment; 0 at the start of an episode.
     sums: Vec<f64>,
     mean: f64,
     variance: f64,
     count: f64,
-    /// What scaled rewards are clipped to, on both sides of 0.
+    /// Clipping range of scaled rewards, on both sides of 0.
     limit: Option<f64>,
-    /// True until the first rewards where the sums begin with these.
+    /// True until the first rewards, if the returns start with these.
     from_first: bool,
 }
 
 impl RewardNormalizer {
-    /// For `envs` environments, with discount `gamma`, as the DRIL reference does it: nothing is clipped, and the sums
-    /// begin with the first rewards, so that the very first step counts (1 + γ) times.
+    /// For `envs` environments, with discount `gamma`, as in DRIL's reference code: no clipping, and the returns start with
+    /// the first rewards, so that the very first step counts (1 + γ) times.
     pub fn new(envs: usize, gamma: f64) -> Self {
         let sums = vec![0.0; envs];
         Self { gamma, sums, mean: 0.0, variance: 1.0, count: PRIOR, limit: None, from_first: true }
     }
 
-    /// As Stable-Baselines3's `VecNormalize` does it: scaled rewards are clipped to ±[`LIMIT`], and the sums begin at 0.
+    /// As in Stable-Baselines3's `VecNormalize`: scaled rewards are clipped to ±[`LIMIT`], and the returns start at 0.
     pub fn clipped(envs: usize, gamma: f64) -> Self {
         Self { limit: Some(LIMIT), from_first: false, ..Self::new(envs, gamma) }
     }
 
-    /// Scales `rewards` (`[step][environment]`) in place, each by the variance up to its own step. `dones` (same layout)
-    /// is true where a step was the last of its episode.
+    /// Scales `rewards` (`[step][environment]`) in place, each by the variance up to its own step. `dones` (same layout) is
+    /// true for the last step of an episode.
     pub fn normalize(&mut self, rewards: &mut [f32], dones: &[bool]) {
         let envs = self.sums.len();
         if std::mem::take(&mut self.from_first) {
@@ -150,7 +150,7 @@ impl RewardNormalizer {
         }
     }
 
-    /// Merges one step's sums into the running moments.
+    /// Adds the returns of one step to the running statistics.
     fn observe_sums(&mut self) {
         let count = self.sums.len() as f64;
         let (mean, variance) = moments(self.sums.iter().copied());

@@ -1,4 +1,4 @@
-//! Rollouts: what the agent saw, did and earned between two updates, and the sampler that gathers them.
+//! Rollouts: observations, actions and rewards between two updates, and the sampler that collects them.
 
 use dril_envs::{FinishedEpisode, ObservationSpace, Outcome, VecEnv};
 use dril_stage_api::{Seed, StageError, StreamRng};
@@ -12,36 +12,36 @@ use crate::nn::Batch;
 use crate::play::act::{Acted, act};
 use crate::policy::{Policy, to_environment};
 
-/// The steps of several environments between two updates. Lists are in the order of time, the environments of one step
-/// side by side: entry `t · envs + env`.
+/// The steps of several environments between two updates. Lists are ordered by time, then environment: entry
+/// `t · envs + env`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rollout {
-    /// Environments.
+    /// Number of environments.
     pub envs: usize,
-    /// Steps in each.
+    /// Steps per environment.
     pub steps: usize,
     /// Action dimensions.
     pub dims: usize,
-    /// What was seen; find an entry's slot with [`Rollout::slot`].
+    /// Frames; see [`Rollout::slot`] for the slot of an entry.
     pub frames: FrameStore,
-    /// Samples in the distribution's own scale, [entries · dims].
+    /// Samples in the distribution's own range, [entries · dims].
     pub samples: Vec<f32>,
-    /// Actions in the environment's scale, not clipped, [entries · dims].
+    /// Actions in the environment's range, not clipped, [entries · dims].
     pub actions: Vec<f32>,
-    /// Log-densities of the samples when they were drawn.
+    /// Log-probabilities of the samples under the policy that drew them.
     pub log_probs: Vec<f32>,
-    /// Values of the states that were acted in.
+    /// Values of the states.
     pub values: Vec<f32>,
-    /// Rewards; an algorithm that makes its own replaces them before advantages are computed.
+    /// Rewards; an algorithm with its own rewards replaces them before advantages are computed.
     pub rewards: Vec<f32>,
-    /// True where the step ended an episode.
+    /// True if the step ended an episode.
     pub dones: Vec<bool>,
-    /// Where the step was truncated by the time limit: the value of the state that followed; otherwise 0.
+    /// For steps truncated by the time limit, the value of the following state; otherwise 0.
     pub bootstrap_values: Vec<f32>,
 }
 
 impl Rollout {
-    /// Room for `steps` steps of `envs` environments.
+    /// An empty rollout for `steps` steps of `envs` environments.
     pub fn new(observation: ObservationSpace, dims: usize, envs: usize, steps: usize) -> Self {
         let entries = envs * steps;
         // Each environment's slots: the history of the first stack, then the frame before each action, then the last.
@@ -61,12 +61,12 @@ impl Rollout {
         }
     }
 
-    /// How many entries there are.
+    /// Number of entries.
     pub fn len(&self) -> usize {
         self.envs * self.steps
     }
 
-    /// True where there is no entry.
+    /// True if there is no entry.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -87,13 +87,13 @@ impl Rollout {
         &self.samples[entry * self.dims..][..self.dims]
     }
 
-    /// The observations before step `t`, one for each environment.
+    /// The observations before step `t`, one per environment.
     pub fn observations(&self, t: usize) -> Batch {
         let slots: Vec<usize> = (0..self.envs).map(|env| self.slot(t, env)).collect();
         self.frames.gather(&slots)
     }
 
-    /// Makes the state after the last step the first of a new rollout, with its history.
+    /// Starts a new rollout at the state after the last step, with its history.
     pub fn begin_next(&mut self) {
         let stack = self.frames.observation().stack();
         for env in 0..self.envs {
@@ -101,7 +101,7 @@ impl Rollout {
         }
     }
 
-    /// Adds its content to a checkpoint.
+    /// Saves the content to a checkpoint.
     pub fn save(&self, arrays: &mut Arrays) {
         self.frames.save("rollout.frames", arrays);
         for (name, values) in self.lists() {
@@ -110,10 +110,10 @@ impl Rollout {
         arrays.put("rollout.dones", self.dones.iter().map(|&end| u8::from(end)).collect::<Vec<u8>>());
     }
 
-    /// Takes its content from a checkpoint.
+    /// Restores the content from a checkpoint.
     ///
     /// # Errors
-    /// The checkpoint is of a rollout of another size.
+    /// The checkpoint is from a rollout of another size.
     pub fn restore(&mut self, arrays: &mut Arrays) -> Result<(), StageError> {
         self.frames.restore("rollout.frames", arrays)?;
         for (name, values) in [
@@ -146,25 +146,25 @@ impl Rollout {
     }
 }
 
-/// Gathers rollouts: the environments, and the streams that actions and tracks come from.
+/// Collects rollouts: the environments, and the random streams for actions and episode seeds.
 pub struct Sampler {
     envs: VecEnv,
     actions: StreamRng,
     /// The seeds of each environment's episodes.
     tracks: Vec<StreamRng>,
     settings: SamplerSettings,
-    /// What observations are scaled by; they learn with every step.
+    /// Observation statistics, updated with every step.
     statistics: Option<ObservationStatistics>,
 }
 
-/// How a [`Sampler`] acts and what it makes of time limits.
+/// How a [`Sampler`] acts, and how it treats truncation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SamplerSettings {
-    /// The probability, drawn once for each step of all environments, that the mean action is taken everywhere.
+    /// Probability per step, drawn once for all environments, of using the mean action.
     pub mean_action_probability: f64,
-    /// True where the state after a time limit keeps its value; false where a time limit counts as a real end.
+    /// True to bootstrap the value at truncation; false to treat truncation as termination.
     pub bootstrap_time_limits: bool,
-    /// True where observation vectors are scaled by their running statistics.
+    /// True to normalise vector observations by running statistics.
     pub normalize_observations: bool,
 }
 
@@ -179,8 +179,8 @@ pub struct SamplerState {
 }
 
 impl Sampler {
-    /// A sampler over `envs`, with streams of its own from the seed. Where observations are scaled, their statistics go
-    /// on from `statistics`, or begin anew without.
+    /// A sampler over `envs`, with its own streams from the seed. If observations are normalised, the statistics continue
+    /// from `statistics`, if given.
     pub fn new(
         envs: VecEnv,
         seed: Seed,
@@ -197,12 +197,12 @@ impl Sampler {
         Self { envs, actions: seed.stream("action"), tracks, settings, statistics }
     }
 
-    /// What observations are scaled by, as it stands now.
+    /// The current observation statistics.
     pub fn statistics(&self) -> Option<&ObservationStatistics> {
         self.statistics.as_ref()
     }
 
-    /// Takes what the environments show into the statistics, where there are any.
+    /// Adds the current observations to the statistics, if there are any.
     fn observe(&mut self) {
         let Self { envs, statistics, .. } = self;
         if let Some(statistics) = statistics {
@@ -213,7 +213,7 @@ impl Sampler {
     /// Starts the first episodes.
     ///
     /// # Errors
-    /// The environments'.
+    /// An environment cannot be reset.
     pub fn start(&mut self, rollout: &mut Rollout) -> Result<(), StageError> {
         let tracks = &mut self.tracks;
         self.envs.reset_all(|env| tracks[env].next_u64()).map_err(StageError::failed)?;
@@ -225,11 +225,11 @@ impl Sampler {
         Ok(())
     }
 
-    /// Acts once in every environment and records it as step `t`; gives the episodes that ended, in the order of the
+    /// Takes one step in every environment and records it as step `t`; returns the episodes that ended, in the order of the
     /// environments.
     ///
     /// # Errors
-    /// The environments'.
+    /// An environment fails.
     pub fn step(
         &mut self,
         policy: &Policy,
@@ -276,10 +276,10 @@ impl Sampler {
         }
     }
 
-    /// Takes up a state again.
+    /// Restores a state.
     ///
     /// # Errors
-    /// It is of another number or kind of environments.
+    /// It is from another number or type of environments.
     pub fn restore(&mut self, state: SamplerState) -> Result<(), StageError> {
         self.envs.restore(&state.envs).map_err(|error| foreign(&error.to_string()))?;
         self.actions = state.actions;

@@ -1,7 +1,6 @@
-//! How training goes, for people who watch it in TensorBoard: event files in the folder that `run --tensorboard` names.
+//! Live training curves for TensorBoard: event files in the folder given by `run --tensorboard`.
 //!
-//! Nothing of it is a result: the files carry clock times, and what stands there already is left alone. A file is a row
-//! of records, each with its length and two checksums (TensorFlow's `record_writer.h`); each record is an `Event` of
+//! They are not results: they contain wall-clock times, and existing files are kept. A file is a sequence of records, each with its length and two checksums (TensorFlow's `record_writer.h`); each record is an `Event` of
 //! TensorFlow's `event.proto`, of which four fields are enough.
 
 use std::fs::File;
@@ -13,22 +12,22 @@ use dril_stage_api::{Ctx, StageError};
 
 use super::log::TrainingLog;
 
-/// Writes the rows of a training log as curves; does nothing where nobody asked for it.
+/// Writes the rows of a training log as curves; does nothing if not requested.
 #[derive(Debug)]
 pub struct Curves(Option<Open>);
 
 #[derive(Debug)]
 struct Open {
     file: File,
-    /// When the last row came, and at which step.
+    /// Time and step of the last row.
     last: Option<(Instant, u64)>,
 }
 
 impl Curves {
-    /// Curves in the folder that this run names for the stage, or none.
+    /// Curves in the stage's folder for this run, or none.
     ///
     /// # Errors
-    /// The folder or the file in it cannot be made.
+    /// The folder or its file cannot be created.
     pub fn open(ctx: &Ctx<'_>) -> Result<Self, StageError> {
         let Some(folder) = ctx.curves() else { return Ok(Self(None)) };
         std::fs::create_dir_all(folder).map_err(StageError::io("cannot make", folder))?;
@@ -42,7 +41,7 @@ impl Curves {
         Ok(Self(Some(open)))
     }
 
-    /// The log's last row, at a step. Empty cells are left out; steps per second are added.
+    /// Writes the log's last row, at a step. Empty cells are left out; steps per second are added.
     ///
     /// # Errors
     /// The file cannot be written.

@@ -4,5 +4,6 @@
 mod chain;
 mod everywhere;
 mod kill;
+mod registered;
 mod same;
 mod worlds;

@@ -1,4 +1,4 @@
-//! The steps of behaviour cloning between PPO's.
+//! The steps of behaviour cloning between those of PPO.
 
 use dril_kinds::DrilParams;
 use dril_stage_api::{Seed, StageError, StreamRng};
@@ -6,16 +6,16 @@ use serde::{Deserialize, Serialize};
 
 use crate::algorithms::imitation::Imitator;
 use crate::algorithms::ppo::{LearnError, finite, stepped};
-use crate::data::pairs::Pairs;
 use crate::data::split::random_batch;
+use crate::data::transitions::Transitions;
 use crate::nn::{Gradients, Optimizer, OptimizerSettings};
 use crate::policy::Policy;
 use crate::training::checkpoint::Arrays;
 
-/// One random batch at a time, with an optimizer of its own. Parameters that the mean action does not depend on (a Gaussian's
-/// deviations, the critic's own layers) are not moved.
+/// Behaviour cloning on one random batch at a time, with its own optimizer. Parameters that do not affect the mean action
+/// (a Gaussian's standard deviations, the critic's own layers) are not changed.
 pub(super) struct Cloning<'a> {
-    pairs: &'a Pairs,
+    transitions: &'a Transitions,
     train: Vec<usize>,
     batch_size: usize,
     learning_rate: f64,
@@ -26,7 +26,7 @@ pub(super) struct Cloning<'a> {
     losses: (f64, u64),
 }
 
-/// The part of a checkpoint that is not in arrays.
+/// The part of a checkpoint besides arrays.
 #[derive(Serialize, Deserialize)]
 pub(super) struct CloningState {
     stream: StreamRng,
@@ -35,16 +35,16 @@ pub(super) struct CloningState {
 }
 
 impl<'a> Cloning<'a> {
-    /// Cloning of the pairs `train` into the policy, before its first step.
+    /// Behaviour cloning of the transitions `train`, at its start.
     pub(super) fn new(
         policy: &Policy,
-        pairs: &'a Pairs,
+        transitions: &'a Transitions,
         train: Vec<usize>,
         params: &DrilParams,
         seed: Seed,
     ) -> Self {
         Self {
-            pairs,
+            transitions,
             train,
             batch_size: params.bc_batch_size as usize,
             learning_rate: params.bc_learning_rate,
@@ -55,14 +55,14 @@ impl<'a> Cloning<'a> {
         }
     }
 
-    /// Learns from one batch.
+    /// One step on a random batch.
     ///
     /// # Errors
     /// The loss or a gradient is not finite; the weights stay as they were.
     pub(super) fn step(&mut self, policy: &mut Policy) -> Result<(), LearnError> {
         let batch = random_batch(&self.train, self.batch_size, &mut self.stream);
         self.gradients.clear();
-        let (seen, actions) = (self.pairs.observations(&batch), self.pairs.actions(&batch));
+        let (seen, actions) = (self.transitions.observations(&batch), self.transitions.actions(&batch));
         let loss = policy.learn(&seen, &actions, &mut self.gradients);
         finite("loss of behaviour cloning", loss)?;
         finite("norm of behaviour cloning's gradients", self.optimizer.norm(&self.gradients))?;
@@ -73,13 +73,13 @@ impl<'a> Cloning<'a> {
         Ok(())
     }
 
-    /// The mean loss of the batches since this was asked last; not a number where there was none.
+    /// The mean loss since the last call; NaN if there was no step.
     pub(super) fn mean_loss(&mut self) -> f64 {
         let (sum, count) = std::mem::take(&mut self.losses);
         sum / count as f64
     }
 
-    /// Adds the state to a checkpoint.
+    /// Saves the state to a checkpoint.
     pub(super) fn save(&self, arrays: &mut Arrays) -> CloningState {
         self.optimizer.save("cloning", arrays);
         CloningState {
@@ -92,7 +92,7 @@ impl<'a> Cloning<'a> {
     /// Restores the state of a checkpoint.
     ///
     /// # Errors
-    /// The checkpoint is of another training.
+    /// The checkpoint is from another training.
     pub(super) fn restore(&mut self, state: CloningState, arrays: &mut Arrays) -> Result<(), StageError> {
         self.optimizer.restore("cloning", state.optimizer_steps, arrays)?;
         (self.stream, self.losses) = (state.stream, state.losses);

@@ -1,12 +1,11 @@
-//! The cost that DRIL charges for an action: how much the members of an ensemble disagree along it, the threshold
-//! above which they count as disagreeing, and the reward that follows.
+//! The cost of an action in DRIL: the disagreement of the ensemble's members on it, the threshold above which they count
+//! as disagreeing, and the resulting reward.
 //!
-//! Plain numbers only, no tensors: what the ensemble answers comes in, costs and rewards go out. All sums are in `f64`,
-//! in a fixed order.
+//! Pure functions from the ensemble's outputs to costs and rewards. All sums are in `f64`, in a fixed order.
 
 use dril_kinds::RewardScheme;
 
-/// What every member of an ensemble answered for a run of samples: actions (continuous) or logits (discrete).
+/// Outputs of all members of an ensemble for a list of samples: actions (continuous) or logits (discrete).
 #[derive(Clone, Debug, PartialEq)]
 pub struct MemberOutputs {
     values: Vec<f32>,
@@ -27,12 +26,12 @@ impl MemberOutputs {
         self.values.len() / (self.members * self.dims)
     }
 
-    /// Values per answer: the action's dimensions, or the number of discrete actions.
+    /// Values per output: action dimensions, or the number of discrete actions.
     pub fn dims(&self) -> usize {
         self.dims
     }
 
-    /// The answer of one member for one sample.
+    /// The output of one member for one sample.
     fn answer(&self, member: usize, sample: usize) -> &[f32] {
         let at = (member * self.samples() + sample) * self.dims;
         &self.values[at..at + self.dims]
@@ -41,7 +40,7 @@ impl MemberOutputs {
     /// `a·S·aᵀ` for a continuous action `a`, where `S` is the sample covariance (divisor: members − 1) of the members'
     /// actions for `sample`; `a` and the members' actions are clamped to [-1, 1] first (thesis equation 33).
     ///
-    /// The covariance is not centred on `a`, so `a = 0` costs nothing however far the members are apart.
+    /// The covariance is not centred on `a`, so `a = 0` has no cost, however much the members disagree.
     pub fn continuous_cost(&self, sample: usize, action: &[f32]) -> f64 {
         // a·S·aᵀ is the sample variance of the members' projections on a, which needs no matrix.
         variance((0..self.members).map(|member| {
@@ -57,7 +56,7 @@ impl MemberOutputs {
     }
 }
 
-/// An action's value in the range that the environment takes.
+/// An action value, clamped to the environment's range.
 fn within(value: f32) -> f64 {
     f64::from(value.clamp(-1.0, 1.0))
 }
@@ -69,8 +68,8 @@ fn variance(values: impl ExactSizeIterator<Item = f64> + Clone) -> f64 {
     values.map(|value| (value - mean) * (value - mean)).sum::<f64>() / (count - 1.0)
 }
 
-/// The `q`-quantile of `values` (`q` in 0..=1) with linear interpolation between the two nearest ranks, as `numpy` and
-/// R's type 7 have it; `None` for no values.
+/// The `q`-quantile of `values` (`q` in 0..=1) with linear interpolation between the two nearest ranks, as in `numpy` and
+/// R's type 7; `None` for no values.
 pub fn quantile(values: &[f64], q: f64) -> Option<f64> {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
@@ -80,7 +79,7 @@ pub fn quantile(values: &[f64], q: f64) -> Option<f64> {
     Some(sorted[below] + (sorted[above] - sorted[below]) * (rank - rank.floor()))
 }
 
-/// The reward of an action that costs `cost` under the threshold `limit`; a cost equal to it still counts as agreement.
+/// The reward of an action with this `cost`, for the threshold `limit`; a cost equal to the threshold counts as agreement.
 pub fn reward(scheme: RewardScheme, cost: f64, limit: f64) -> f32 {
     match (cost > limit, scheme) {
         (_, RewardScheme::Constant) => 1.0,
@@ -99,7 +98,7 @@ pub fn continuous_costs(outputs: &MemberOutputs, actions: &[f32]) -> Vec<f64> {
         .collect()
 }
 
-/// The cost of each sample's choice, `choices` being one number a sample.
+/// The cost of each sample's discrete action; one number per sample.
 pub fn discrete_costs(outputs: &MemberOutputs, choices: &[f32]) -> Vec<f64> {
     choices
         .iter()

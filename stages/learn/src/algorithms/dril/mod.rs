@@ -1,8 +1,8 @@
 //! `dril`: disagreement-regularised imitation learning (Brantley et al. 2020).
 //!
-//! PPO on the reward that the ensemble's agreement gives, with one step of behaviour cloning after each step of PPO:
-//! two losses on one network, each with an optimizer of its own. This file is what DRIL adds to the loop of
-//! [`super::on_policy`]; what rewards are made of is in `signal`, the peak in `peak`.
+//! PPO on a reward for actions on which the ensemble agrees, with one step of behaviour cloning after each step of PPO:
+//! two losses on one network, each with its own optimizer. This file has the hooks into the loop of
+//! [`super::on_policy`]; the reward is in `signal`, the selection of the peak policy in `peak`.
 
 mod cloning;
 pub mod disagreement;
@@ -20,8 +20,8 @@ use serde::{Deserialize, Serialize};
 use super::ensemble::Ensemble;
 use super::on_policy::{Hooks, Settings, Trained, Training};
 use super::ppo::LearnError;
-use crate::data::pairs::Pairs;
 use crate::data::split::divide;
+use crate::data::transitions::Transitions;
 use crate::policy::Policy;
 use crate::spaces;
 use crate::training::checkpoint::Arrays;
@@ -31,7 +31,7 @@ use cloning::{Cloning, CloningState};
 use peak::PeakTracker;
 use signal::{RolloutSignal, Signal, SignalState};
 
-/// Runs `dril` stages.
+/// The stage `dril`.
 #[derive(Clone, Copy, Debug)]
 pub struct DrilStage;
 
@@ -41,19 +41,21 @@ impl Stage for DrilStage {
     fn run(params: &DrilParams, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
         let mut policy = Policy::load("policy", ctx.input("policy")?)?;
         let mut ensemble = Ensemble::load("ensemble", ctx.input("ensemble")?)?;
-        let pairs = Pairs::load("demonstrations", ctx.input("demonstrations")?)?;
-        check(params, &policy, &ensemble, &pairs)?;
+        let transitions = Transitions::load("demonstrations", ctx.input("demonstrations")?)?;
+        check(params, &policy, &ensemble, &transitions)?;
         policy.network_mut().set_device(params.on_policy.device)?;
         ensemble.network_mut().set_device(params.on_policy.device)?;
         let envs =
             VecEnv::new(&params.env, params.on_policy.n_envs as usize, 1).map_err(StageError::failed)?;
-        let settings = Settings::new(&params.on_policy, params.algorithm, params.on_divergence);
-        // The stream that `bc` has too: both learn from the same part of the demonstrations, as in the reference.
+        let settings =
+            Settings::new(&params.on_policy, params.update, params.algorithm, params.on_divergence);
+        // The same stream as in `bc`: both train on the same part of the demonstrations, as in the reference code.
         let train =
-            divide(pairs.lengths(), params.validation_fraction, params.split, &mut ctx.stream("split")).train;
+            divide(transitions.lengths(), params.validation_fraction, params.split, &mut ctx.stream("split"))
+                .train;
         let training = Training::start(settings, policy, envs, ctx, |policy, saved| {
-            let cloning = Cloning::new(policy, &pairs, train, params, ctx.seed());
-            Dril::start(params, (&ensemble, &pairs), policy, cloning, saved)
+            let cloning = Cloning::new(policy, &transitions, train, params, ctx.seed());
+            Dril::start(params, (&ensemble, &transitions), policy, cloning, saved)
         })?;
         let Trained { mut policy, hooks, log, episodes } = training.run(ctx)?;
         ctx.write_output("final", policy.to_bytes()?)?;
@@ -66,25 +68,30 @@ impl Stage for DrilStage {
     }
 }
 
-/// Checks that all inputs are about the same observations and actions.
-fn check(params: &DrilParams, policy: &Policy, ensemble: &Ensemble, pairs: &Pairs) -> Result<(), StageError> {
+/// Checks that all inputs have the same observation and action space.
+fn check(
+    params: &DrilParams,
+    policy: &Policy,
+    ensemble: &Ensemble,
+    transitions: &Transitions,
+) -> Result<(), StageError> {
     spaces::check(policy, &params.env)?;
     if policy.statistics.is_some() {
         return Err(StageError::failed(
-            "the input `policy` scales its observations, but the ensemble has learnt from plain ones; give it a policy \
-             that was cloned from the demonstrations (kind `bc`)",
+            "the input `policy` normalises observations, but the ensemble was trained without normalisation; use a \
+             policy that was cloned from the demonstrations (kind `bc`)",
         ));
     }
     let (observation, actions) = spaces::of(&params.env)?;
     let about = ensemble.architecture();
     for (what, seen) in [
         ("ensemble", (about.observation, about.actions)),
-        ("demonstrations", (pairs.observation(), pairs.action_space())),
+        ("demonstrations", (transitions.observation(), transitions.action_space())),
     ] {
         if seen != (observation, actions) {
             return Err(StageError::failed(format!(
-                "the input `{what}` is of {:?} and {}, but `env` shows {observation:?} and takes {}; give `env` the \
-                 environment that the demonstrations were recorded in",
+                "the input `{what}` has observations {:?} and {}, but `env` has observations {observation:?} and {}; set \
+                 `env` to the environment that the demonstrations were recorded in",
                 seen.0,
                 spaces::describe(seen.1),
                 spaces::describe(actions)
@@ -94,23 +101,23 @@ fn check(params: &DrilParams, policy: &Policy, ensemble: &Ensemble, pairs: &Pair
     Ok(())
 }
 
-/// What DRIL adds to on-policy training.
+/// The hooks of DRIL.
 struct Dril<'a> {
     peak_reset_updates: u64,
     signal: Signal<'a>,
     cloning: Cloning<'a>,
     tracker: PeakTracker,
-    /// True where the rollout that is being learnt from brought the moving average to its highest.
+    /// True if the current rollout raised the moving average of scores to its maximum.
     is_peak: bool,
-    /// That rollout's rewards.
+    /// Rewards of the current rollout.
     rewards: RolloutSignal,
-    /// The weights that earned the highest moving average so far; those at the start before there is one.
+    /// The weights with the highest moving average so far; initially the weights at the start.
     peak: Vec<f32>,
     /// The same weights after the update that followed.
     peak_after: Vec<f32>,
 }
 
-/// The part of a checkpoint that is not in arrays.
+/// The part of a checkpoint besides arrays.
 #[derive(Serialize, Deserialize)]
 struct State {
     signal: SignalState,
@@ -121,10 +128,10 @@ struct State {
 }
 
 impl<'a> Dril<'a> {
-    /// At the start of training, or as a checkpoint has it.
+    /// Starts, or resumes from a checkpoint.
     fn start(
         params: &DrilParams,
-        (ensemble, pairs): (&'a Ensemble, &Pairs),
+        (ensemble, transitions): (&'a Ensemble, &Transitions),
         policy: &Policy,
         mut cloning: Cloning<'a>,
         saved: Option<(State, &mut Arrays)>,
@@ -134,7 +141,7 @@ impl<'a> Dril<'a> {
         let Some((state, arrays)) = saved else {
             return Ok(Self {
                 peak_reset_updates,
-                signal: Signal::new(ensemble, pairs, params)?,
+                signal: Signal::new(ensemble, transitions, params)?,
                 cloning,
                 tracker: PeakTracker::new(params.peak_window as usize),
                 is_peak: false,
@@ -160,8 +167,8 @@ impl<'a> Dril<'a> {
 impl Hooks for Dril<'_> {
     type State = State;
 
-    /// The last three say which moving average is the highest so far: reached before which update, how high, and over
-    /// how many episodes (fewer than `peak_window` while fewer have ended; all empty while none has).
+    /// The last three describe the highest moving average so far: before which update, its value, and over how many
+    /// episodes (fewer than `peak_window` while fewer have ended; empty while none has).
     const COLUMNS: &'static [&'static str] =
         &["u_signal", "disagreement", "bc_loss", "peak_update", "peak_score", "peak_episodes"];
 
@@ -169,8 +176,8 @@ impl Hooks for Dril<'_> {
         self.tracker.finished(score);
     }
 
-    /// Puts the ensemble's rewards in place of the environment's, and compares the rollout's episodes with the best so
-    /// far: they were played with the weights that this update is about to change.
+    /// Replaces the environment's rewards by the ensemble's, and compares the scores with the best so far: they belong to
+    /// the weights before this update.
     fn rollout_ended(
         &mut self,
         rollout: &mut Rollout,

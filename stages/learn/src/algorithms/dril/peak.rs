@@ -1,16 +1,17 @@
-//! DRIL-peak: which update's weights earned the highest moving average of the environment's score (thesis Algorithm 2).
+//! DRIL-peak: the weights with the highest moving average of the environment's score (thesis Algorithm 2).
 //!
-//! The score is the environment's own, which DRIL does not learn from: picking by it uses the true reward, and the mean
-//! that won is biased upwards. Evaluate the weights on fresh tracks.
+//! DRIL does not learn from this score, so selecting by it uses the true reward, and the selected mean is biased upwards.
+//! Evaluate the weights on new tracks.
 
 use std::collections::VecDeque;
 
 use serde::{Deserialize, Serialize};
 
-/// Follows the moving average over finished episodes and says when it is at its highest.
+/// Tracks the moving average over finished episodes and its maximum.
 ///
-/// Checked once an update, over the last `window` episodes of all environments in the order they finished; fewer count
-/// while there are no more, as in the reference code (whose best Beta policy stems from the first update's 8 episodes).
+/// Checked once per update, over the last `window` episodes of all environments in the order they finished, or over fewer
+/// while fewer have finished, as in the reference code (whose best Beta policy stems from the 8 episodes of the first
+/// update).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PeakTracker {
     window: usize,
@@ -24,19 +25,19 @@ pub struct PeakTracker {
 pub struct Peak {
     /// The mean score.
     pub mean: f64,
-    /// How many episodes it is the mean of.
+    /// The number of episodes in the mean.
     pub episodes: usize,
     /// The update before which it was reached, from 0.
     pub update: u64,
 }
 
 impl PeakTracker {
-    /// A tracker over `window` episodes (at least 1) that has seen none.
+    /// A tracker over `window` episodes (at least 1), without episodes yet.
     pub fn new(window: usize) -> Self {
         Self { window: window.max(1), scores: VecDeque::new(), changed: false, best: None }
     }
 
-    /// Notes the score of an episode that finished.
+    /// Records the score of a finished episode.
     pub fn finished(&mut self, score: f64) {
         if self.scores.len() == self.window {
             self.scores.pop_front();
@@ -45,19 +46,19 @@ impl PeakTracker {
         self.changed = true;
     }
 
-    /// The moving average now; `None` before the first episode has finished.
+    /// The current moving average; `None` before the first episode has finished.
     pub fn mean(&self) -> Option<f64> {
         let count = self.scores.len();
         (count > 0).then(|| self.scores.iter().sum::<f64>() / count as f64)
     }
 
-    /// The episodes that [`Self::mean`] is taken over.
+    /// The number of episodes in [`Self::mean`].
     pub fn episodes(&self) -> usize {
         self.scores.len()
     }
 
-    /// True where the moving average is at least as high as ever. Where no episode has finished since the last check it
-    /// is not: the weights of this update have earned nothing yet.
+    /// True if the moving average is at least its maximum so far. False if no episode has finished since the last check:
+    /// the current weights have no score yet.
     pub fn check(&mut self, update: u64) -> bool {
         let changed = std::mem::take(&mut self.changed);
         let Some(mean) = self.mean().filter(|_| changed) else { return false };
@@ -68,7 +69,7 @@ impl PeakTracker {
         highest
     }
 
-    /// Forgets the highest average, so that the next one counts as the highest.
+    /// Resets the maximum, so that the next average becomes the maximum.
     pub fn forget(&mut self) {
         self.best = None;
     }

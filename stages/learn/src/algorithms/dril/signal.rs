@@ -1,4 +1,4 @@
-//! DRIL's reward: the ensemble's disagreement on what the agent does, against a threshold taken from what the expert did.
+//! DRIL's reward: the ensemble's disagreement on the policy's actions, compared with a threshold from the expert's.
 
 use dril_envs::ActionSpace;
 use dril_kinds::{DrilParams, RewardScheme, Thresholds};
@@ -9,75 +9,74 @@ use super::disagreement::{MemberOutputs, continuous_costs, discrete_costs, quant
 use super::u_signal::USignal;
 use crate::algorithms::ensemble::Ensemble;
 use crate::data::frames::FrameStore;
-use crate::data::pairs::Pairs;
+use crate::data::transitions::Transitions;
 use crate::training::normalize::RewardNormalizer;
 use crate::training::rollout::Rollout;
 
 /// Samples in one forward pass of the ensemble.
 const BATCH: usize = 256;
 
-/// Makes rewards, and keeps what they depend on from one rollout to the next.
+/// Computes rewards, and keeps their state between rollouts.
 pub(super) struct Signal<'a> {
     ensemble: &'a Ensemble,
     scheme: RewardScheme,
     state: SignalState,
 }
 
-/// The part of a checkpoint.
+/// The state for checkpoints.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct SignalState {
-    /// The cost above which the members count as disagreeing; not used where each choice has its own.
+    /// The cost above which the members count as disagreeing; not used if there is one per discrete action.
     pub(super) threshold: f64,
-    /// The same for each choice; empty where actions are numbers.
+    /// The same for each discrete action; empty for continuous actions.
     pub(super) thresholds: Vec<f64>,
     u_signal: USignal,
-    /// None where rewards are not scaled.
+    /// None if rewards are not scaled.
     normalizer: Option<RewardNormalizer>,
 }
 
-/// What a rollout's rewards were.
+/// Summary of a rollout's rewards.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct RolloutSignal {
-    /// The mean U-signal of the episodes that ended in it; none where none did.
+    /// The mean U-signal of the episodes that ended in it, if any.
     pub(super) u_signal: Option<f64>,
     /// The mean cost.
     pub(super) disagreement: f64,
 }
 
 impl<'a> Signal<'a> {
-    /// The signal of an ensemble. The threshold is the quantile of the cost over all demonstrated pairs, those that are
-    /// held out from cloning included.
+    /// The signal of an ensemble. The threshold is the quantile of the cost over all demonstrated transitions, including
+    /// those held out from cloning.
     ///
     /// # Errors
-    /// The ensemble's answers are not numbers.
+    /// The ensemble's outputs are not finite.
     pub(super) fn new(
         ensemble: &'a Ensemble,
-        pairs: &Pairs,
+        transitions: &Transitions,
         params: &DrilParams,
     ) -> Result<Self, StageError> {
-        let (threshold, thresholds) = limits(ensemble, pairs, params.quantile, params.thresholds)?;
-        let (envs, gamma) = (params.on_policy.n_envs as usize, params.on_policy.gamma);
+        let (threshold, thresholds) = limits(ensemble, transitions, params.quantile, params.thresholds)?;
+        let (envs, gamma) = (params.on_policy.n_envs as usize, params.update.gamma);
         let normalizer = params.on_policy.normalize_reward.then(|| RewardNormalizer::new(envs, gamma));
         let state = SignalState { threshold, thresholds, u_signal: USignal::new(envs), normalizer };
         Ok(Self { ensemble, scheme: params.reward, state })
     }
 
-    /// The signal as a checkpoint has it.
+    /// The signal from a checkpoint.
     pub(super) fn restored(ensemble: &'a Ensemble, scheme: RewardScheme, state: SignalState) -> Self {
         Self { ensemble, scheme, state }
     }
 
-    /// The part of a checkpoint.
+    /// The state for checkpoints.
     pub(super) fn state(&self) -> &SignalState {
         &self.state
     }
 
-    /// Puts the ensemble's rewards in place of the environments'. Each is for the state that was acted in and the action
-    /// that was taken there, as the environment got it: within [-1, 1]. Gives a summary, and the U-signal of each episode
-    /// that ended, in order.
+    /// Replaces the environments' rewards by the ensemble's, each for a state and the action taken there, as the
+    /// environment used it (within [-1, 1]). Returns a summary, and the U-signal of each episode that ended, in order.
     ///
     /// # Errors
-    /// The ensemble's answers are not numbers.
+    /// The ensemble's outputs are not finite.
     pub(super) fn replace_rewards(
         &mut self,
         rollout: &mut Rollout,
@@ -105,23 +104,26 @@ impl SignalState {
     }
 }
 
-/// The cost above which the members count as disagreeing: one for all actions, and one for each choice (none where
-/// actions are numbers). It is a quantile of the cost over all demonstrated pairs.
+/// The cost above which the members count as disagreeing: one for all actions, and one per discrete action (empty for
+/// continuous actions). It is a quantile of the cost over all demonstrated transitions.
+///
+/// # Errors
+/// The ensemble's outputs are not finite.
 pub(crate) fn limits(
     ensemble: &Ensemble,
-    pairs: &Pairs,
+    transitions: &Transitions,
     q: f64,
     thresholds: Thresholds,
 ) -> Result<(f64, Vec<f64>), StageError> {
-    let all: Vec<usize> = (0..pairs.len()).collect();
+    let all: Vec<usize> = (0..transitions.len()).collect();
     let (threshold, thresholds) = match ensemble.architecture().actions {
         ActionSpace::Continuous { .. } => {
-            let costs = costs(ensemble, pairs.frames(), &all, &pairs.actions(&all))?;
+            let costs = costs(ensemble, transitions.frames(), &all, &transitions.actions(&all))?;
             (quantile(&costs, q), Vec::new())
         }
         ActionSpace::Discrete { .. } => {
-            // The quantile of each choice's cost over all pairs, whichever choice was made there (thesis figure 17).
-            let costs = choice_costs(ensemble, pairs.frames(), &all)?;
+            // Over all transitions, whichever action was taken there (thesis figure 17).
+            let costs = choice_costs(ensemble, transitions.frames(), &all)?;
             let mut own: Vec<f64> = costs.iter().filter_map(|costs| quantile(costs, q)).collect();
             if let (Thresholds::LastChoice, Some(last)) = (thresholds, own.last().copied()) {
                 own.fill(last);
@@ -130,11 +132,11 @@ pub(crate) fn limits(
         }
     };
     let threshold = threshold
-        .ok_or_else(|| StageError::failed("there is no demonstrated pair to take a threshold from"))?;
+        .ok_or_else(|| StageError::failed("there is no demonstrated transition to take a threshold from"))?;
     Ok((threshold, thresholds))
 }
 
-/// The limit for an action, of those that [`limits`] gives.
+/// The threshold for an action, from the result of [`limits`].
 pub(crate) fn limit(threshold: f64, thresholds: &[f64], action: &[f32]) -> f64 {
     let choice = action.first().map_or(0, |choice| *choice as usize);
     thresholds.get(choice).copied().unwrap_or(threshold)
@@ -161,12 +163,12 @@ pub(crate) fn costs(
     match costs.iter().find(|cost| !cost.is_finite()) {
         None => Ok(costs),
         Some(cost) => Err(StageError::failed(format!(
-            "the ensemble's disagreement is {cost}, expected a number; train it again"
+            "the ensemble's disagreement is {cost}, expected a finite number; train the ensemble again"
         ))),
     }
 }
 
-/// The cost of every choice in each of these slots, [choice][slot].
+/// The cost of every discrete action for each of these slots, [action][slot].
 pub(crate) fn choice_costs(
     ensemble: &Ensemble,
     frames: &FrameStore,
@@ -181,7 +183,7 @@ pub(crate) fn choice_costs(
     Ok(costs)
 }
 
-/// What the ensemble answers to the observations in these slots, batch by batch. The encoder sees every observation
+/// The ensemble's outputs for the observations in these slots, batch by batch. The encoder processes each observation
 /// once, whatever the number of members.
 fn for_batches(
     ensemble: &Ensemble,
@@ -193,7 +195,7 @@ fn for_batches(
     for slots in slots.chunks(BATCH) {
         let answers = ensemble.answers(&frames.gather(slots));
         let outputs = MemberOutputs::new(answers, members, count).ok_or_else(|| {
-            StageError::failed("the ensemble's answers have another shape than its description")
+            StageError::failed("the shape of the ensemble's outputs does not match its description")
         })?;
         each(&outputs);
     }

@@ -16,7 +16,7 @@ use crate::algorithms::bc::tests::{outputs, stop_often};
 use crate::algorithms::ensemble;
 use crate::algorithms::imitation::Imitator;
 use crate::data::frames::FrameStore;
-use crate::data::pairs::tests::vector_demos;
+use crate::data::transitions::tests::vector_demos;
 use crate::nn::Batch;
 use crate::policy::Architecture;
 
@@ -172,31 +172,31 @@ fn an_ensemble_for_other_observations_is_refused() {
     let other = Ensemble::new(other, &mut Seed(7).stream("init")).unwrap();
     std::fs::write(bench.folder().join("ensemble"), other.to_bytes().unwrap()).unwrap();
     let message = bench.run().unwrap_err().to_string();
-    assert!(message.contains("the input `ensemble` is of Vector"), "{message}");
+    assert!(message.contains("the input `ensemble` has observations Vector"), "{message}");
 }
 
-/// An ensemble and pairs of the made-up world.
-fn vector_world() -> (Ensemble, Pairs) {
+/// An ensemble and transitions of the made-up world.
+fn vector_world() -> (Ensemble, Transitions) {
     let folder = tempfile::tempdir().unwrap();
     vector_demos(&[30, 20]).write(&folder.path().join("demos")).unwrap();
-    let pairs = Pairs::load("demonstrations", &folder.path().join("demos")).unwrap();
+    let transitions = Transitions::load("demonstrations", &folder.path().join("demos")).unwrap();
     let members = ensemble::Architecture {
-        observation: pairs.observation(),
-        actions: pairs.action_space(),
+        observation: transitions.observation(),
+        actions: transitions.action_space(),
         members: 5,
     };
-    (Ensemble::new(members, &mut Seed(3).stream("init")).unwrap(), pairs)
+    (Ensemble::new(members, &mut Seed(3).stream("init")).unwrap(), transitions)
 }
 
 #[test]
 fn rewards_follow_from_the_cost_of_each_entrys_own_observation_and_action() {
-    let (ensemble, pairs) = vector_world();
+    let (ensemble, transitions) = vector_world();
     let params =
         json!({ "env": { "car-racing": {} }, "n_envs": 2, "quantile": 0.5, "normalize_reward": false });
     let params: DrilParams = serde_json::from_value(params).unwrap();
-    let mut signal = Signal::new(&ensemble, &pairs, &params).unwrap();
-    let mut rollout = Rollout::new(pairs.observation(), 2, 2, 3);
-    rollout.frames = FrameStore::with_slots(pairs.observation(), rollout.frames.len());
+    let mut signal = Signal::new(&ensemble, &transitions, &params).unwrap();
+    let mut rollout = Rollout::new(transitions.observation(), 2, 2, 3);
+    rollout.frames = FrameStore::with_slots(transitions.observation(), rollout.frames.len());
     let seen: Vec<[f32; 2]> = (0..6).map(|entry| [entry as f32 - 2.0, 0.5 * entry as f32]).collect();
     for (entry, seen) in seen.iter().enumerate() {
         rollout.frames.set(rollout.entry_slot(entry), dril_envs::Frame::Vector(seen), true);
@@ -224,9 +224,9 @@ fn rewards_follow_from_the_cost_of_each_entrys_own_observation_and_action() {
 
 #[test]
 fn each_choice_has_a_threshold_of_its_own_unless_the_last_one_s_is_asked_for() {
-    let (_, pairs) = vector_world();
+    let (_, transitions) = vector_world();
     let members = ensemble::Architecture {
-        observation: pairs.observation(),
+        observation: transitions.observation(),
         actions: ActionSpace::Discrete { actions: 4 },
         members: 5,
     };
@@ -235,20 +235,21 @@ fn each_choice_has_a_threshold_of_its_own_unless_the_last_one_s_is_asked_for() {
         let params = json!({
             "env": { "car-racing": {} }, "quantile": 0.9, "n_envs": 1, "normalize_reward": false, "thresholds": thresholds
         });
-        Signal::new(&ensemble, &pairs, &serde_json::from_value(params).unwrap()).unwrap()
+        Signal::new(&ensemble, &transitions, &serde_json::from_value(params).unwrap()).unwrap()
     };
-    let all: Vec<usize> = (0..pairs.len()).collect();
-    let outputs = MemberOutputs::new(ensemble.answers(&pairs.observations(&all)), 5, 4).unwrap();
+    let all: Vec<usize> = (0..transitions.len()).collect();
+    let outputs = MemberOutputs::new(ensemble.answers(&transitions.observations(&all)), 5, 4).unwrap();
     let wanted: Vec<f64> = (0..4)
         .map(|choice| {
-            let costs: Vec<f64> = (0..pairs.len()).map(|at| outputs.discrete_cost(at, choice)).collect();
+            let costs: Vec<f64> =
+                (0..transitions.len()).map(|at| outputs.discrete_cost(at, choice)).collect();
             disagreement::quantile(&costs, 0.9).unwrap()
         })
         .collect();
     assert_eq!(signal("per-choice").state().thresholds, wanted);
     assert_eq!(signal("last-choice").state().thresholds, [wanted[3]; 4]);
     // Each entry's reward follows from its own choice.
-    let mut rollout = Rollout::new(pairs.observation(), 1, 1, 4);
+    let mut rollout = Rollout::new(transitions.observation(), 1, 1, 4);
     for entry in 0..4 {
         rollout.frames.set(rollout.entry_slot(entry), dril_envs::Frame::Vector(&[9.0, -9.0]), true);
     }
@@ -275,38 +276,39 @@ fn actor_critic_makes_one_step_a_rollout_and_goes_on_after_stops() {
 
 #[test]
 fn half_of_the_demonstrated_pairs_lie_below_a_threshold_at_the_median() {
-    let (ensemble, pairs) = vector_world();
+    let (ensemble, transitions) = vector_world();
     let of = |quantile: f64| {
         let params = json!({ "env": { "car-racing": {} }, "quantile": quantile });
         let params: DrilParams = serde_json::from_value(params).unwrap();
-        Signal::new(&ensemble, &pairs, &params).unwrap().state().threshold
+        Signal::new(&ensemble, &transitions, &params).unwrap().state().threshold
     };
     let median = of(0.5);
-    let all: Vec<usize> = (0..pairs.len()).collect();
-    let answers = ensemble.answers(&pairs.observations(&all));
+    let all: Vec<usize> = (0..transitions.len()).collect();
+    let answers = ensemble.answers(&transitions.observations(&all));
     let outputs = MemberOutputs::new(answers, 5, 2).unwrap();
-    let costs = disagreement::continuous_costs(&outputs, &pairs.actions(&all));
+    let costs = disagreement::continuous_costs(&outputs, &transitions.actions(&all));
     assert_eq!(costs.iter().filter(|cost| **cost <= median).count(), 25);
     assert!(of(0.98) > median);
 }
 
 #[test]
 fn a_step_of_cloning_lowers_its_loss_and_leaves_the_critic_alone() {
-    let (_, pairs) = vector_world();
+    let (_, transitions) = vector_world();
     let architecture = Architecture {
         network: Network::Mlp,
         family: PolicyFamily::Gaussian,
-        observation: pairs.observation(),
-        actions: pairs.action_space(),
+        observation: transitions.observation(),
+        actions: transitions.action_space(),
     };
     let mut policy = Policy::new(architecture, &mut Seed(3).stream("init")).unwrap();
-    let all: Vec<usize> = (0..pairs.len()).collect();
-    let loss = |policy: &Policy| policy.validation_loss(&pairs.observations(&all), &pairs.actions(&all));
-    let critic = |policy: &Policy| policy.values(&pairs.observations(&all))[7];
+    let all: Vec<usize> = (0..transitions.len()).collect();
+    let loss =
+        |policy: &Policy| policy.validation_loss(&transitions.observations(&all), &transitions.actions(&all));
+    let critic = |policy: &Policy| policy.values(&transitions.observations(&all))[7];
     let (loss_before, critic_before) = (loss(&policy), critic(&policy));
     let params = json!({ "env": { "car-racing": {} }, "bc_batch_size": 20, "bc_learning_rate": 1e-3 });
     let params: DrilParams = serde_json::from_value(params).unwrap();
-    let mut cloning = Cloning::new(&policy, &pairs, all.clone(), &params, Seed(3));
+    let mut cloning = Cloning::new(&policy, &transitions, all.clone(), &params, Seed(3));
     for _ in 0..30 {
         cloning.step(&mut policy).unwrap();
     }

@@ -1,24 +1,22 @@
-//! The U-signal: DRIL's rewards summed up per episode.
+//! The U-signal: DRIL's mean reward per episode.
 
 use serde::{Deserialize, Serialize};
 
-/// The U-signal: the mean of DRIL's rewards over an episode (thesis equation 34), 1 where the members of the ensemble
-/// never disagreed.
+/// The U-signal: the mean of DRIL's rewards over an episode (thesis equation 34); 1 if the ensemble never disagreed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct USignal {
-    /// Sum of rewards and number of steps of the running episode, one pair an environment.
+    /// Sum of rewards and number of steps of the running episode, one entry per environment.
     running: Vec<(f64, u64)>,
 }
 
 impl USignal {
-    /// For `envs` environments at the start of an episode.
+    /// For `envs` environments, at the start of an episode.
     pub fn new(envs: usize) -> Self {
         Self { running: vec![(0.0, 0); envs] }
     }
 
-    /// Takes the rewards of a rollout (`[step][environment]`, before they are scaled) and gives the signal of every
-    /// episode that ended in it, in the order they ended. `dones` (same layout) is true where a step was the last of its
-    /// episode.
+    /// Adds the rewards of a rollout (`[step][environment]`, before scaling) and returns the signal of each episode that
+    /// ended in it, in the order they ended. `dones` (same layout) is true for the last step of an episode.
     pub fn observe(&mut self, rewards: &[f32], dones: &[bool]) -> Vec<f64> {
         let mut signals = Vec::new();
         let envs = self.running.len();

@@ -1,5 +1,5 @@
-//! `ensemble`: policies that learn from different draws of the demonstrations, so that they agree where there is data
-//! and differ where there is none.
+//! `ensemble`: policies trained on different bootstrap samples of the demonstrations, so that they agree where there is
+//! data and disagree where there is none.
 
 mod net;
 
@@ -10,12 +10,12 @@ use dril_stage_api::{Ctx, Stage, StageError, StreamRng};
 pub use net::{Architecture, Ensemble};
 
 use super::imitation::{self, Imitator, Schedule};
-use crate::data::pairs::Pairs;
-use crate::data::split::{Parts, divide, with_replacement};
+use crate::data::split::{Partition, divide, with_replacement};
+use crate::data::transitions::Transitions;
 use crate::nn::{Batch, Gradients, ParamId, Parameters};
 use crate::policy::{Row, RowGradient};
 
-/// Runs `ensemble` stages.
+/// The stage `ensemble`.
 #[derive(Clone, Copy, Debug)]
 pub struct EnsembleStage;
 
@@ -23,15 +23,18 @@ impl Stage for EnsembleStage {
     type Kind = dril_kinds::Ensemble;
 
     fn run(params: &EnsembleParams, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
-        let pairs = Pairs::load("demonstrations", ctx.input("demonstrations")?)?;
+        let transitions = Transitions::load("demonstrations", ctx.input("demonstrations")?)?;
         let members = params.n_members as usize;
-        let architecture =
-            Architecture { observation: pairs.observation(), actions: pairs.action_space(), members };
-        // Streams of its own: cloning the same demonstrations with the same seed draws from `init` and `split`.
+        let architecture = Architecture {
+            observation: transitions.observation(),
+            actions: transitions.action_space(),
+            members,
+        };
+        // Its own streams: `bc` with the same seed uses `init` and `split`.
         let mut ensemble = Ensemble::new(architecture, &mut ctx.stream("ensemble/init"))?;
         ensemble.network_mut().set_device(params.device)?;
-        let Parts { train, validation } = divide(
-            pairs.lengths(),
+        let Partition { train, validation } = divide(
+            transitions.lengths(),
             params.validation_fraction,
             params.split,
             &mut ctx.stream("ensemble/split"),
@@ -46,18 +49,18 @@ impl Stage for EnsembleStage {
             shuffle: false,
             validation: Validation::All,
         };
-        let parts = Parts { train, validation };
-        let log = imitation::train(&mut ensemble, &pairs, &parts, schedule, ctx)?;
+        let parts = Partition { train, validation };
+        let log = imitation::train(&mut ensemble, &transitions, &parts, schedule, ctx)?;
         ctx.write_output("ensemble", ensemble.to_bytes()?)?;
         ctx.write_output("log", log.to_csv()?)
     }
 }
 
-/// The pairs that the ensemble learns from, drawn with replacement, once: every pass has the same order.
+/// The bootstrap samples of all members, drawn once with replacement: every epoch has the same order.
 ///
-/// Each batch is cut into `members` consecutive slices, and member k sees the k-th slice of each batch only; so a full
-/// bootstrap takes `members` times as many draws as there are training pairs, and the code behind the thesis, which
-/// takes as many draws as pairs, leaves each member a `members`-th of them.
+/// Each batch is divided into `members` consecutive slices, and member k is trained on the k-th slice only. A full
+/// bootstrap therefore takes `members` times as many draws as there are training transitions; the thesis's code takes as
+/// many draws as transitions, which leaves each member a `members`-th of them.
 fn bootstrap(train: &[usize], members: usize, size: Bootstrap, rng: &mut StreamRng) -> Vec<usize> {
     let draws = match size {
         Bootstrap::Full => train.len() * members,
@@ -79,7 +82,7 @@ impl Imitator for Ensemble {
         Ensemble::params(self).ids().collect()
     }
 
-    /// Each member learns from its own slice.
+    /// Each member is trained on its own slice.
     fn learn(&self, observations: &Batch, actions: &[f32], gradients: &mut Gradients) -> f64 {
         let (slices, tape) = self.forward_slices(observations);
         let share = 1.0 / observations.rows() as f64;
@@ -103,7 +106,7 @@ impl Imitator for Ensemble {
         loss * share
     }
 
-    /// All members are evaluated on all pairs.
+    /// All members are evaluated on all transitions.
     fn validation_loss(&self, observations: &Batch, actions: &[f32]) -> f64 {
         let (outputs, len) =
             (self.architecture().actions.outputs(), self.architecture().actions.action_len());
@@ -118,7 +121,7 @@ impl Imitator for Ensemble {
 }
 
 impl Ensemble {
-    /// A member's answer as a distribution that behaviour cloning can fit: its loss is that of the agents.
+    /// A member's output as a distribution, so that its loss is that of behaviour cloning.
     fn answer<'a>(&self, answer: &'a [f32]) -> Row<'a> {
         match self.architecture().actions {
             ActionSpace::Continuous { .. } => Row::Gaussian { mean: answer, log_std: &[] },
@@ -130,7 +133,7 @@ impl Ensemble {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::algorithms::bc::tests::{bench, column, outputs, picture_bench, stop_often};
+    use crate::algorithms::bc::tests::{bench, column, image_bench, outputs, stop_often};
     use crate::algorithms::dril::disagreement::MemberOutputs;
     use dril_stage_api::Seed;
     use serde_json::{Value, json};
@@ -152,10 +155,10 @@ mod tests {
         let bench = bench::<EnsembleStage>(params, 1);
         bench.run().unwrap();
         let ensemble = Ensemble::load("ensemble", &bench.output("ensemble").unwrap()).unwrap();
-        let pairs = Pairs::load("demonstrations", &bench.folder().join("in.demos")).unwrap();
-        let all: Vec<usize> = (0..pairs.len()).collect();
-        let known = pairs.observations(&all);
-        let loss = ensemble.validation_loss(&known, &pairs.actions(&all));
+        let transitions = Transitions::load("demonstrations", &bench.folder().join("in.demos")).unwrap();
+        let all: Vec<usize> = (0..transitions.len()).collect();
+        let known = transitions.observations(&all);
+        let loss = ensemble.validation_loss(&known, &transitions.actions(&all));
         assert!(loss < 0.01, "{loss}");
         let apart = |numbers: Vec<f32>| {
             let batch = Batch::Vectors { rows: all.len(), numbers };
@@ -173,9 +176,9 @@ mod tests {
     }
 
     #[test]
-    fn what_pictures_show_is_learnt_through_the_shared_encoder() {
+    fn what_images_show_is_learnt_through_the_shared_encoder() {
         let params = json!({ "n_members": 3, "n_epochs": 40, "batch_size": 15, "learning_rate": 1e-3 });
-        let losses = column(&outputs(&picture_bench::<EnsembleStage>(params, 1), &["log"])[0], "val_loss");
+        let losses = column(&outputs(&image_bench::<EnsembleStage>(params, 1), &["log"])[0], "val_loss");
         assert!(losses[39] < 0.1 * losses[0], "{losses:?}");
     }
 
@@ -198,7 +201,7 @@ mod tests {
     #[test]
     fn all_passes_are_made_and_the_last_weights_kept() {
         let log = outputs(&bench::<EnsembleStage>(params(5), 1), &["log"]).remove(0);
-        // A header and five epochs of four batches: 120 pairs in batches of 30.
+        // A header and five epochs of four batches: 120 transitions in batches of 30.
         let rows: Vec<&str> = std::str::from_utf8(&log).unwrap().lines().collect();
         assert_eq!(rows.len(), 6);
         assert!(rows[5].starts_with("4,20,"), "{}", rows[5]);

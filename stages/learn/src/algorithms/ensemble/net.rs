@@ -1,5 +1,5 @@
-//! The ensemble's network: for images one encoder that all members share, then a head of its own for each member; for
-//! vectors fully separate members (thesis section 4.2.5 and the code it used).
+//! The ensemble's network: for images, an encoder shared by all members and a separate head for each; for vectors, fully
+//! separate members (thesis section 4.2.5 and its code).
 
 use std::path::Path;
 
@@ -16,18 +16,18 @@ use crate::policy::{check_frames, file::ObservationV1};
 /// Width of all fully connected layers.
 const HIDDEN: usize = 512;
 
-/// All that determines the layout of an ensemble's parameters.
+/// The architecture of an ensemble; determines the layout of its parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Architecture {
-    /// The input.
+    /// Observation space.
     pub observation: ObservationSpace,
-    /// The output: members answer with numbers, or with the logits of choices.
+    /// Action space: members output actions, or the logits of discrete actions.
     pub actions: ActionSpace,
-    /// How many members there are.
+    /// Number of members.
     pub members: usize,
 }
 
-/// Several policies that answer with an action each; how far they are apart is DRIL's cost.
+/// Several policies, each of which outputs an action; their disagreement is DRIL's cost.
 #[derive(Debug)]
 pub struct Ensemble {
     architecture: Architecture,
@@ -39,8 +39,7 @@ impl Ensemble {
     /// A new ensemble with weights drawn from the stream (PyTorch's default distribution).
     ///
     /// # Errors
-    /// Fewer than two members (their covariance would not exist), no action, or frames that the convolutions cannot
-    /// take.
+    /// Fewer than two members (no covariance), no action dimension, or frames of a size that the convolutions do not support.
     pub fn new(architecture: Architecture, stream: &mut StreamRng) -> Result<Self, StageError> {
         Self::build(architecture, Some(stream))
     }
@@ -73,7 +72,7 @@ impl Ensemble {
         Ok(Self { architecture, heads, network: Network::new(build.finish(stream)) })
     }
 
-    /// What determines the layout of its parameters.
+    /// The architecture.
     pub fn architecture(&self) -> Architecture {
         self.architecture
     }
@@ -83,7 +82,7 @@ impl Ensemble {
         &self.network.params
     }
 
-    /// The weights, to be changed.
+    /// The weights, mutable.
     pub fn params_mut(&mut self) -> &mut Parameters {
         &mut self.network.params
     }
@@ -93,19 +92,19 @@ impl Ensemble {
         &mut self.network
     }
 
-    /// What every member answers to every observation, `[member][row][output]`, not clipped. The encoder runs once.
+    /// Outputs of all members for all observations, `[member][row][output]`, not clipped. The encoder runs once.
     pub fn answers(&self, observations: &Batch) -> Vec<f32> {
         let wanted = self.heads.iter().map(|node| Wanted { node: *node, rows: 0..observations.rows() });
         self.network.infer(observations, &wanted.collect::<Vec<_>>()).concat()
     }
 
-    /// What each member answers to its own slice of the batch, whose length is a multiple of the members, [rows of the
-    /// slice, outputs] each: member k sees the k-th of as many consecutive slices.
+    /// The output of each member for its own slice of the batch, [rows of the slice, outputs] each: member k gets the k-th
+    /// of consecutive, equal slices. The batch size is a multiple of the number of members.
     pub(super) fn forward_slices(&self, observations: &Batch) -> (Vec<Vec<f32>>, Tape) {
         self.network.forward(observations, &self.slices(observations.rows()))
     }
 
-    /// Writes the gradients of the parameters, given those of the answers to slices.
+    /// Writes the gradients of the parameters, given those of the outputs for the slices.
     pub(super) fn backward(
         &self,
         observations: &Batch,
@@ -128,20 +127,20 @@ fn check(architecture: Architecture) -> Result<(), StageError> {
     let Architecture { observation, actions, members } = architecture;
     if members < 2 {
         return Err(StageError::failed(format!(
-            "an ensemble of {members} has no covariance, expected at least 2 members"
+            "an ensemble of {members} members has no covariance, expected at least 2 members"
         )));
     }
     if actions.outputs() == 0 {
-        return Err(StageError::failed("the actions have no dimension, expected at least one"));
+        return Err(StageError::failed("the action space has no dimension, expected at least one"));
     }
     check_frames(observation)
 }
 
-/// The content of the file's metadata.
+/// The metadata of the file.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct About {
-    /// Tells ensembles from policies, and this layout from later ones.
+    /// Distinguishes ensembles from policies, and this layout from later ones.
     format: String,
     ensemble: ArchitectureV1,
 }
@@ -151,10 +150,10 @@ struct About {
 #[serde(deny_unknown_fields)]
 struct ArchitectureV1 {
     observation: ObservationV1,
-    /// Dimensions of an action, or choices.
+    /// Action dimensions, or number of discrete actions.
     actions: usize,
     members: usize,
-    /// True where members answer with the logits of choices; left out where not.
+    /// True for discrete actions; left out if false.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     choices: bool,
 }
@@ -181,10 +180,10 @@ impl From<ArchitectureV1> for Architecture {
 const FORMAT: &str = "ensemble-v1";
 
 impl Ensemble {
-    /// The bytes of its file.
+    /// The ensemble as a file.
     ///
     /// # Errors
-    /// The description cannot be written as JSON.
+    /// The metadata cannot be serialised.
     pub fn to_bytes(&self) -> Result<Vec<u8>, StageError> {
         let about = About { format: FORMAT.to_owned(), ensemble: self.architecture.into() };
         weights::to_bytes(&about, self.params())
@@ -193,7 +192,7 @@ impl Ensemble {
     /// Reads the ensemble at the input `port`.
     ///
     /// # Errors
-    /// The file cannot be read or holds no ensemble; the message says what was seen and expected.
+    /// The file cannot be read, or is not an ensemble.
     pub fn load(port: &str, path: &Path) -> Result<Self, StageError> {
         let file = weights::read(port, path)?;
         let about: About = file.about(port, path)?;
