@@ -176,8 +176,11 @@ mod tests {
 
     #[test]
     fn an_error_has_a_message_and_hints() {
-        let error = Error::new(ErrorKind::Io, "cannot write `results`: disk full").hint("make room");
-        assert_eq!(error.to_string(), "error: cannot write `results`: disk full\n  = hint: make room\n");
+        let error = Error::new(ErrorKind::Io, "cannot write `results`: disk full").hint("free disk space");
+        assert_eq!(
+            error.to_string(),
+            "error: cannot write `results`: disk full\n  = hint: free disk space\n"
+        );
         assert_eq!(error.kind().exit_code(), exit_codes::IO);
     }
 

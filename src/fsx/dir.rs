@@ -103,7 +103,7 @@ mod tests {
         assert_eq!(dir.entry("link").unwrap(), Some(Entry::Other));
         assert_eq!(dir.entry("sub").unwrap(), Some(Entry::Folder));
         assert_eq!(dir.entry("sub/b").unwrap(), None);
-        // Taken away and made anew, as by someone who clears the store under our hands.
+        // Removed and created again, as when a user clears the store during a run.
         fsx::remove_dir_all(dir.path()).unwrap();
         assert_eq!(dir.entry("a").unwrap(), None);
         fsx::create_dir(dir.path()).unwrap();

@@ -119,8 +119,8 @@ struct Known<'a> {
 }
 
 impl Known<'_> {
-    /// Compares what is wired to one input. Artifacts of a fan-in are matched by their labels, so that one new artifact
-    /// in the middle is not told as a change of all behind it.
+    /// Compares the artifacts of one input. Artifacts of a fan-in are matched by their labels, so that a new artifact in the
+    /// middle does not look like a change of all that follow.
     fn input(
         &self,
         stage: &StageInstance,

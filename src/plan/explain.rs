@@ -130,7 +130,7 @@ impl Explainer<'_> {
         against: Option<(Key, Record)>,
     ) -> Result<Explanation, StoreError> {
         let node = &self.graph.stages[stage];
-        // A record that is lost or damaged is a reason that no comparison shows.
+        // A lost or damaged record is a reason that no comparison shows.
         let told = match self.verdicts[stage.index()] {
             Some(Verdict::Run { why, .. }) => why
                 .iter()

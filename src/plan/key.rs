@@ -30,7 +30,7 @@ pub struct NoKey {
 
 /// Everything that the result of a stage depends on.
 #[derive(Clone, Debug)]
-pub struct Work<'a> {
+pub struct KeyInputs<'a> {
     /// The kind's name.
     pub kind: &'a str,
     /// The kind's revision.
@@ -40,12 +40,12 @@ pub struct Work<'a> {
     /// The seed; `None` where the kind is not seeded.
     pub seed: Option<u64>,
     /// The artifacts of each input; the order of inputs does not matter.
-    pub inputs: Vec<WorkInput<'a>>,
+    pub inputs: Vec<KeyInput<'a>>,
 }
 
 /// The artifacts of one input.
 #[derive(Clone, Debug)]
-pub struct WorkInput<'a> {
+pub struct KeyInput<'a> {
     /// The input's name.
     pub port: &'a str,
     /// True where the input takes many: then labels are part of the key.
@@ -59,7 +59,7 @@ pub fn executable(content: &Digest) -> Digest {
     Digest::new(blake3::derive_key(EXECUTABLE, content.as_bytes()))
 }
 
-impl Work<'_> {
+impl KeyInputs<'_> {
     /// The key.
     ///
     /// # Errors
@@ -82,7 +82,7 @@ impl Work<'_> {
                 out.number(seed);
             }
         }
-        let mut inputs: Vec<&WorkInput<'_>> = self.inputs.iter().collect();
+        let mut inputs: Vec<&KeyInput<'_>> = self.inputs.iter().collect();
         inputs.sort_unstable_by_key(|input| input.port);
         out.length(inputs.len());
         for input in inputs {
@@ -102,12 +102,12 @@ pub fn named(content: &Digest, is_executable: bool) -> Digest {
 /// # Errors
 /// The record contains a parameter that cannot enter a key.
 pub fn key_of_record(record: &Record) -> Result<Key, NoKey> {
-    let inputs = record.inputs.iter().map(|input| WorkInput {
+    let inputs = record.inputs.iter().map(|input| KeyInput {
         port: &input.port,
         many: input.many,
         items: input.items.iter().map(|item| (named(&item.digest, item.executable), &item.labels)).collect(),
     });
-    let work = Work {
+    let work = KeyInputs {
         kind: &record.kind,
         revision: record.revision,
         params: &record.params,
@@ -203,7 +203,7 @@ impl Canonical {
         Ok(())
     }
 
-    fn input(&mut self, input: &WorkInput<'_>) {
+    fn input(&mut self, input: &KeyInput<'_>) {
         self.text(input.port);
         self.tag(if input.many { Tag::True } else { Tag::False });
         self.length(input.items.len());

@@ -7,8 +7,8 @@ use serde_json::json;
 
 use super::*;
 
-fn work(params: &Value) -> Work<'_> {
-    Work { kind: "sample", revision: 3, params, seed: Some(66), inputs: Vec::new() }
+fn work(params: &Value) -> KeyInputs<'_> {
+    KeyInputs { kind: "sample", revision: 3, params, seed: Some(66), inputs: Vec::new() }
 }
 
 fn key(params: &Value) -> Key {
@@ -22,19 +22,20 @@ fn labels(pairs: &[(&str, &str)]) -> Labels {
 /// A failure here means that every cached result of every user becomes stale. If that is meant, raise the version in
 /// `CONTEXT` and in the name of the records' folder; otherwise undo the change.
 #[test]
-fn the_canonical_bytes_and_the_key_stay_the_same_for_ever() {
+fn the_canonical_bytes_and_the_key_never_change() {
     let params =
         json!({"steps": 5, "rate": 2.5e-4, "below": -7, "name": "é", "list": [true, false, null], "map": {}});
     let labels = labels(&[("expert", "clipped")]);
     let none = Labels::new();
-    let one = WorkInput { port: "policy", many: false, items: vec![(Digest::of(b"weights"), &none)] };
-    let many = WorkInput { port: "extra", many: true, items: vec![(Digest::of(b""), &labels)] };
-    let work = Work { kind: "sample", revision: 3, params: &params, seed: Some(66), inputs: vec![one, many] };
+    let one = KeyInput { port: "policy", many: false, items: vec![(Digest::of(b"weights"), &none)] };
+    let many = KeyInput { port: "extra", many: true, items: vec![(Digest::of(b""), &labels)] };
+    let work =
+        KeyInputs { kind: "sample", revision: 3, params: &params, seed: Some(66), inputs: vec![one, many] };
     let bytes = work.canonical_bytes().unwrap();
     let hex: String = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
     assert_eq!(hex, GOLDEN_BYTES.replace(char::is_whitespace, ""));
     assert_eq!(work.key().unwrap().hex(), GOLDEN_KEY);
-    let unseeded = Work { seed: None, inputs: Vec::new(), ..work };
+    let unseeded = KeyInputs { seed: None, inputs: Vec::new(), ..work };
     assert_eq!(unseeded.key().unwrap().hex(), GOLDEN_UNSEEDED);
 }
 
@@ -106,13 +107,14 @@ fn whatever_a_result_depends_on_changes_the_key() {
     let (none, north, south) = (Labels::new(), labels(&[("side", "north")]), labels(&[("side", "south")]));
     let (x, y) = (Digest::of(b"x"), Digest::of(b"y"));
     let base = work(&params);
-    let wired = |port, many, items| Work { inputs: vec![WorkInput { port, many, items }], ..base.clone() };
+    let wired =
+        |port, many, items| KeyInputs { inputs: vec![KeyInput { port, many, items }], ..base.clone() };
     let mut keys: Vec<Key> = [
         base.clone(),
-        Work { kind: "sampl", ..base.clone() },
-        Work { revision: 4, ..base.clone() },
-        Work { seed: None, ..base.clone() },
-        Work { seed: Some(0), ..base.clone() },
+        KeyInputs { kind: "sampl", ..base.clone() },
+        KeyInputs { revision: 4, ..base.clone() },
+        KeyInputs { seed: None, ..base.clone() },
+        KeyInputs { seed: Some(0), ..base.clone() },
         wired("in", false, vec![(x, &none)]),
         wired("in", false, vec![(y, &none)]),
         wired("on", false, vec![(x, &none)]),
@@ -137,8 +139,8 @@ fn whatever_a_result_depends_on_changes_the_key() {
 fn neither_the_order_of_ports_nor_the_labels_of_a_single_input_change_the_key() {
     let params = json!({});
     let (none, some) = (Labels::new(), labels(&[("side", "north")]));
-    let input = |port, labels| WorkInput { port, many: false, items: vec![(Digest::of(b"x"), labels)] };
-    let key = |inputs| Work { inputs, ..work(&params) }.key().unwrap();
+    let input = |port, labels| KeyInput { port, many: false, items: vec![(Digest::of(b"x"), labels)] };
+    let key = |inputs| KeyInputs { inputs, ..work(&params) }.key().unwrap();
     assert_eq!(
         key(vec![input("a", &none), input("b", &none)]),
         key(vec![input("b", &some), input("a", &none)])

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use dril_stage_api::Labels;
 use rayon::prelude::*;
 
-use super::key::{NoKey, Work, WorkInput, key_of_record, named};
+use super::key::{KeyInput, KeyInputs, NoKey, key_of_record, named};
 use super::{OutsideFile, Reason};
 use crate::resolve::{Graph, Origin, Source, StageInstance};
 use crate::store::{
@@ -70,9 +70,9 @@ pub fn key_of(
             let Some(digest) = digest_of(source, done, files) else { return Ok(None) };
             items.push((named(&digest, is_executable(stage, source, done, files)), &source.labels));
         }
-        inputs.push(WorkInput { port: wire.port, many: wire.many, items });
+        inputs.push(KeyInput { port: wire.port, many: wire.many, items });
     }
-    let work = Work {
+    let work = KeyInputs {
         kind: stage.kind.name(),
         revision: stage.kind.revision(),
         params: &stage.params,

@@ -16,7 +16,7 @@ use std::sync::Arc;
 pub use compare::compare;
 pub use estimate::Estimates;
 pub use explain::{Cause, Explanation, Explanations, explain};
-pub use key::{NoKey, Work, WorkInput, executable, key_of_record, named};
+pub use key::{KeyInput, KeyInputs, NoKey, executable, key_of_record, named};
 pub(crate) use lookup::{Cached, digest_of, is_executable, key_of, look_up, record_inputs};
 pub use order::Order;
 pub(crate) use order::feeding;

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::merge::merge;
 use crate::spec::names;
 use crate::spec::node::{Key, Node, Value};
-use crate::spec::problem::{Problem, Problems};
+use crate::spec::problem::{Problem, ProblemList};
 use crate::spec::source::Span;
 use crate::spec::suggest;
 
@@ -63,7 +63,7 @@ impl Axis {
 
 /// `node` as the values of the axis, laid over those that it has already: a map is merged value by value, and a list
 /// over values with fields chooses among them.
-pub(super) fn lay(below: Option<Axis>, name: &Key, node: Node, problems: &mut Problems) -> Option<Axis> {
+pub(super) fn lay(below: Option<Axis>, name: &Key, node: Node, problems: &mut ProblemList) -> Option<Axis> {
     let mut gone = below.as_ref().map(|below| below.gone.clone()).unwrap_or_default();
     gone.extend(below.iter().flat_map(|below| &below.values).map(|value| value.label.clone()));
     let values = match (node.value, below) {
@@ -94,7 +94,7 @@ pub(super) fn lay(below: Option<Axis>, name: &Key, node: Node, problems: &mut Pr
     distinct(&axis, problems).then_some(axis)
 }
 
-fn choose(below: &Axis, name: &Key, items: Vec<Node>, problems: &mut Problems) -> Option<Vec<AxisValue>> {
+fn choose(below: &Axis, name: &Key, items: Vec<Node>, problems: &mut ProblemList) -> Option<Vec<AxisValue>> {
     let mut chosen = Some(Vec::new());
     for item in items {
         let text = item.scalar_text().unwrap_or_default();
@@ -114,12 +114,12 @@ fn choose(below: &Axis, name: &Key, items: Vec<Node>, problems: &mut Problems) -
     chosen
 }
 
-fn scalars(name: &Key, items: Vec<Node>, problems: &mut Problems) -> Option<Vec<AxisValue>> {
+fn scalars(name: &Key, items: Vec<Node>, problems: &mut ProblemList) -> Option<Vec<AxisValue>> {
     let values: Vec<_> = items.into_iter().map(|item| scalar(name, item, problems)).collect();
     values.into_iter().collect()
 }
 
-fn scalar(name: &Key, item: Node, problems: &mut Problems) -> Option<AxisValue> {
+fn scalar(name: &Key, item: Node, problems: &mut ProblemList) -> Option<AxisValue> {
     let Some(label) = item.scalar_text() else {
         problems.add(|| {
             Problem::new(
@@ -138,7 +138,7 @@ fn with_fields(
     below: Option<Axis>,
     name: &Key,
     entries: Vec<(Key, Node)>,
-    problems: &mut Problems,
+    problems: &mut ProblemList,
 ) -> Option<Vec<AxisValue>> {
     let mut values = below.map(|below| below.values).unwrap_or_default();
     let mut fine = true;
@@ -179,7 +179,7 @@ fn with_fields(
     fine.then_some(values)
 }
 
-fn usable(name: &Key, label: &str, at: Span, problems: &mut Problems) -> Option<()> {
+fn usable(name: &Key, label: &str, at: Span, problems: &mut ProblemList) -> Option<()> {
     if names::is_label(label) {
         return Some(());
     }
@@ -191,7 +191,7 @@ fn usable(name: &Key, label: &str, at: Span, problems: &mut Problems) -> Option<
     None
 }
 
-fn distinct(axis: &Axis, problems: &mut Problems) -> bool {
+fn distinct(axis: &Axis, problems: &mut ProblemList) -> bool {
     let mut seen: HashMap<&str, Span> = HashMap::new();
     let mut fine = true;
     for value in &axis.values {

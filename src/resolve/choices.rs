@@ -10,7 +10,7 @@ use crate::spec::layer::{self, Known};
 use crate::spec::model::{Defaults, Layer, MatrixAxis};
 use crate::spec::names;
 use crate::spec::node::{Key, Node, Value};
-use crate::spec::problem::{Problem, Problems};
+use crate::spec::problem::{Problem, ProblemList};
 use crate::spec::source::{Source, Sources, Span};
 use crate::spec::suggest;
 use crate::spec::yaml;
@@ -43,7 +43,7 @@ impl<'a> Layers<'a> {
         choices: &Choices,
         spread: &Spread,
         sources: &mut Sources,
-        problems: &mut Problems,
+        problems: &mut ProblemList,
     ) -> Self {
         let (profile, chosen) = profile(spec, choices.profile.as_deref(), sources, problems);
         let known = Known::new(&spec.base, &spec.stages);
@@ -118,7 +118,7 @@ fn profile<'a>(
     spec: &'a Spec,
     wanted: Option<&str>,
     sources: &mut Sources,
-    problems: &mut Problems,
+    problems: &mut ProblemList,
 ) -> (Arc<str>, &'a [Layer]) {
     let Some(wanted) = wanted else {
         return match spec.profiles.first() {
@@ -158,7 +158,7 @@ fn sweep(
     keys: &[Key],
     values: Vec<Node>,
     sweeps: &mut Vec<Sweep>,
-    problems: &mut Problems,
+    problems: &mut ProblemList,
 ) -> Option<Node> {
     let (first, last) = (keys.first()?, keys.last()?);
     let at = values.iter().map(|value| value.span).reduce(|a, b| Span { end: b.end, ..a })?;
@@ -195,7 +195,7 @@ fn sweep(
 }
 
 /// The names and the values of `a.b=value` and `a.b=1,2,3`.
-fn assignment(argument: &str, source: u16, problems: &mut Problems) -> Option<(Vec<Key>, Vec<Node>)> {
+fn assignment(argument: &str, source: u16, problems: &mut ProblemList) -> Option<(Vec<Key>, Vec<Node>)> {
     let Some((path, value)) = argument.split_once('=') else {
         problems.add(|| {
             Problem::new(Span::new(source, 0..argument.len()), "found no `=`, expected `name.field=value`")
@@ -216,7 +216,13 @@ fn assignment(argument: &str, source: u16, problems: &mut Problems) -> Option<(V
 
 /// Parses a value as YAML, but never drops a part of it: a plain text is taken whole, and where YAML would ignore something else,
 /// that is reported. `is_only`: it is not part of a sweep, so blanks around a text belong to it.
-fn read_value(part: &str, is_only: bool, source: u16, begin: usize, problems: &mut Problems) -> Option<Node> {
+fn read_value(
+    part: &str,
+    is_only: bool,
+    source: u16,
+    begin: usize,
+    problems: &mut ProblemList,
+) -> Option<Node> {
     let bare = part.trim();
     let span = Span::new(source, begin..begin + part.len());
     if bare.is_empty() {
@@ -302,7 +308,7 @@ fn parts(value: &str) -> Vec<&str> {
     if plain && full { parts } else { vec![value] }
 }
 
-fn keys(path: &str, source: u16, problems: &mut Problems) -> Option<Vec<Key>> {
+fn keys(path: &str, source: u16, problems: &mut ProblemList) -> Option<Vec<Key>> {
     let mut keys = Vec::new();
     let mut begin = 0;
     for name in path.split('.') {
@@ -338,7 +344,7 @@ mod tests {
     use super::*;
 
     fn read(argument: &str) -> String {
-        let mut problems = Problems::default();
+        let mut problems = ProblemList::default();
         let Some((_, values)) = assignment(argument, 0, &mut problems) else { return "refused".to_owned() };
         let shown = values.iter().map(|node| match &node.value {
             Value::Text(text) => format!("{text:?}"),

@@ -33,7 +33,7 @@ pub(super) fn order(dependencies: &[Vec<usize>]) -> Order {
     Order { sorted, cycles }
 }
 
-/// Every node that is still open depends on another open one, so walking along them must come round.
+/// The cycles among the remaining nodes. Each of them depends on another remaining one, so following dependencies reaches a cycle.
 fn cycles(dependencies: &[Vec<usize>], open: &[usize]) -> Vec<Vec<usize>> {
     let mut walked_from: Vec<Option<usize>> = vec![None; open.len()];
     let mut cycles = Vec::new();

@@ -43,7 +43,7 @@ fn merge_entries(below: Vec<(Key, Node)>, over: Vec<(Key, Node)>) -> Vec<(Key, N
 pub(super) fn effective<'n>(layers: &[&'n Node]) -> Vec<&'n Node> {
     let merges = |node: &Node| match &node.value {
         Value::Map(_) => !node.replace,
-        // It may be a reference to a map, which merges.
+        // It may be a reference to a map, which is merged.
         Value::Text(text) => text.starts_with('$'),
         _ => false,
     };
@@ -55,12 +55,12 @@ pub(super) fn effective<'n>(layers: &[&'n Node]) -> Vec<&'n Node> {
 mod tests {
     use super::*;
     use crate::resolve::params::to_json;
-    use crate::spec::problem::Problems;
+    use crate::spec::problem::ProblemList;
     use crate::spec::yaml;
     use serde_json::{Value as Json, json};
 
     fn node(text: &str) -> Node {
-        yaml::read(text, 0, 0, &mut Problems::default()).unwrap()
+        yaml::read(text, 0, 0, &mut ProblemList::default()).unwrap()
     }
 
     fn merged(base: &str, overlay: &str) -> Json {

@@ -8,7 +8,7 @@ use super::axes::AxisValue;
 use super::choices::Spread;
 use super::template::{self, BadTemplate, Lone, Path, Piece, Template};
 use crate::spec::node::{MAX_DEPTH, Node, Value};
-use crate::spec::problem::{Problem, Problems};
+use crate::spec::problem::{Problem, ProblemList};
 use crate::spec::source::{Sources, Span};
 use crate::spec::suggest;
 
@@ -42,7 +42,7 @@ pub(super) struct Scope<'a> {
 /// Fills in values; shared by all scopes of one resolution.
 pub(super) struct Filler<'p> {
     pub sources: &'p Sources,
-    pub problems: &'p mut Problems,
+    pub problems: &'p mut ProblemList,
     /// The number of values so far, in total and for the current value.
     total: usize,
     here: usize,
@@ -146,7 +146,7 @@ fn field<'n>(node: &'n Node, name: &str, path: &str) -> Result<&'n Node, Miss> {
 
 impl<'p> Filler<'p> {
     /// Reports to `problems`.
-    pub fn new(sources: &'p Sources, problems: &'p mut Problems) -> Self {
+    pub fn new(sources: &'p Sources, problems: &'p mut ProblemList) -> Self {
         Self { sources, problems, total: 0, here: 0, spread: Spread::new() }
     }
 

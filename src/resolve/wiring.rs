@@ -438,7 +438,7 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
     }
 }
 
-/// For a text that looks like a path.
+/// A hint for a text that looks like a path.
 fn file_hint(text: &str) -> Option<String> {
     let looks = text.contains(['/', '\\'])
         || [".csv", ".json", ".yaml", ".txt"].iter().any(|end| text.ends_with(end));
@@ -453,7 +453,7 @@ fn name_label(item: &Item, connection: &Connection<'_>) -> Labels {
     name.map(|name| ("name".to_owned(), name.to_string())).into_iter().collect()
 }
 
-/// An output of exactly the type that an input takes, for an example in a hint.
+/// An output of exactly the type of an input, for an example in a hint.
 fn candidate(stages: &[Expanded<'_>], consumer: &Expanded<'_>, input: &Input) -> Option<String> {
     let others = stages.iter().filter(|stage| stage.name() != consumer.name());
     others.filter_map(|stage| Some((stage, stage.instances.first()?.as_ref()?))).find_map(

@@ -14,7 +14,7 @@ use super::matrix;
 use super::model::{Entries, Layer, Profile, Spec, Stage};
 use super::names;
 use super::node::{Key, Node, Value};
-use super::problem::{Problem, Problems};
+use super::problem::{Problem, ProblemList};
 use super::source::{Source, Span};
 
 pub(super) const TOP: [&str; 8] =
@@ -45,7 +45,7 @@ pub(super) struct File {
 }
 
 /// Decodes one file. Its profiles wait until all files are there: they may change what another file brings along.
-pub(super) fn file(root: Node, is_included: bool, problems: &mut Problems) -> File {
+pub(super) fn file(root: Node, is_included: bool, problems: &mut ProblemList) -> File {
     let at = root.span;
     let mut top = Fields::read(root, &TOP, "the pipeline file", problems);
     let mut base = Layer { seed: top.take("seed").map(|(_, node)| node), ..Layer::default() };
@@ -65,7 +65,7 @@ pub(super) fn spec(
     files: Vec<File>,
     name: SourceName,
     sources: Vec<Arc<Source>>,
-    mut problems: Problems,
+    mut problems: ProblemList,
 ) -> Spec {
     let mut pipeline = String::new();
     let count = files.len();
@@ -96,7 +96,12 @@ pub(super) fn spec(
     Spec { name, sources, problems, pipeline, base, files: layers, stages: all, profiles }
 }
 
-fn add_stage(stage: Stage, all: &mut Vec<Stage>, before: &HashMap<Arc<str>, Span>, problems: &mut Problems) {
+fn add_stage(
+    stage: Stage,
+    all: &mut Vec<Stage>,
+    before: &HashMap<Arc<str>, Span>,
+    problems: &mut ProblemList,
+) {
     match before.get(&stage.name.text) {
         Some(other) => problems.add(|| {
             Problem::new(stage.name.span, format!("another file also has a stage `{}`", stage.name.text))
@@ -108,7 +113,7 @@ fn add_stage(stage: Stage, all: &mut Vec<Stage>, before: &HashMap<Arc<str>, Span
 }
 
 /// The paths under `include`: one, or a list.
-fn included(key: Key, node: Node, problems: &mut Problems) -> Vec<Key> {
+fn included(key: Key, node: Node, problems: &mut ProblemList) -> Vec<Key> {
     let node = placed(key, node);
     let items = if let Value::List(items) = node.value { items } else { vec![node] };
     let mut paths = Vec::new();
@@ -129,7 +134,7 @@ fn included(key: Key, node: Node, problems: &mut Problems) -> Vec<Key> {
     paths
 }
 
-fn pipeline_name(field: Option<(Key, Node)>, at: Span, problems: &mut Problems) -> String {
+fn pipeline_name(field: Option<(Key, Node)>, at: Span, problems: &mut ProblemList) -> String {
     let expected = "expected lower-case words with `-` between them, as in `name: lunar-lander`";
     let Some((key, node)) = field else {
         problems
@@ -151,13 +156,13 @@ fn pipeline_name(field: Option<(Key, Node)>, at: Span, problems: &mut Problems) 
 }
 
 /// A map of identifiers; names that are none are reported.
-fn named(field: Option<(Key, Node)>, what: &str, problems: &mut Problems) -> Vec<(Key, Node)> {
+fn named(field: Option<(Key, Node)>, what: &str, problems: &mut ProblemList) -> Vec<(Key, Node)> {
     let Some((key, node)) = field else { return Vec::new() };
     let entries = entries(node, &format!("`{}`", key.text), problems);
     entries.into_iter().filter(|(key, _)| value_name(key, what, problems)).collect()
 }
 
-fn stages(field: Option<(Key, Node)>, at: Span, problems: &mut Problems) -> Vec<Stage> {
+fn stages(field: Option<(Key, Node)>, at: Span, problems: &mut ProblemList) -> Vec<Stage> {
     let Some((key, node)) = field else {
         problems.add(|| {
             Problem::new(at, "the pipeline has no stages, expected a map under `stages`")
@@ -186,7 +191,7 @@ fn stages(field: Option<(Key, Node)>, at: Span, problems: &mut Problems) -> Vec<
     entries.into_iter().filter_map(|(name, node)| stage(name, node, problems)).collect()
 }
 
-fn stage(name: Key, node: Node, problems: &mut Problems) -> Option<Stage> {
+fn stage(name: Key, node: Node, problems: &mut ProblemList) -> Option<Stage> {
     if names::RESERVED_STAGES.contains(&&*name.text) {
         problems.add(|| {
             Problem::new(name.span, format!("a stage cannot be called `{}`", name.text))
@@ -225,7 +230,7 @@ fn stage(name: Key, node: Node, problems: &mut Problems) -> Option<Stage> {
     Some(Stage { name, kind, matrix, rules, seed, with, inputs, limits, resources })
 }
 
-fn stage_kind(name: &Key, field: Option<(Key, Node)>, problems: &mut Problems) -> Option<Key> {
+fn stage_kind(name: &Key, field: Option<(Key, Node)>, problems: &mut ProblemList) -> Option<Key> {
     let Some((key, node)) = field else {
         problems.add(|| {
             Problem::new(name.span, format!("stage `{}` has no kind", name.text))
@@ -253,7 +258,7 @@ fn stage_kind(name: &Key, field: Option<(Key, Node)>, problems: &mut Problems) -
 fn merged_profiles(
     files: Vec<Option<(Key, Node)>>,
     known: &Known<'_>,
-    problems: &mut Problems,
+    problems: &mut ProblemList,
 ) -> Vec<Profile> {
     let mut profiles: Vec<Profile> = Vec::new();
     for (_, node) in files.into_iter().rev().flatten() {
@@ -273,7 +278,7 @@ fn merged_profiles(
 }
 
 /// A name that is both an axis and a param would be ambiguous.
-fn clashes(base: &Layer, stages: &[Stage], problems: &mut Problems) {
+fn clashes(base: &Layer, stages: &[Stage], problems: &mut ProblemList) {
     let inline = stages.iter().flat_map(|stage| &stage.matrix).filter(|axis| axis.values.is_some());
     let axes = base.axes.iter().map(|(key, _)| key).chain(inline.map(|axis| &axis.name));
     let params: HashMap<&str, Span> = base.params.iter().map(|(key, _)| (&*key.text, key.span)).collect();

@@ -1,4 +1,4 @@
-//! Problems of a pipeline file for people: message, place, source line and hints.
+//! ProblemList of a pipeline file for people: message, place, source line and hints.
 
 use std::fmt;
 

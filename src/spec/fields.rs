@@ -3,7 +3,7 @@
 use super::model::Defaults;
 use super::names;
 use super::node::{Key, Node, UNUSABLE, Value};
-use super::problem::{Problem, Problems};
+use super::problem::{Problem, ProblemList};
 use super::suggest;
 
 /// The fields of a map, to be taken one by one.
@@ -11,7 +11,7 @@ pub(super) struct Fields(Vec<(Key, Node)>);
 
 impl Fields {
     /// Reads the fields of `node`, which is `what`; unknown ones are reported.
-    pub fn read(node: Node, known: &[&str], what: &str, problems: &mut Problems) -> Self {
+    pub fn read(node: Node, known: &[&str], what: &str, problems: &mut ProblemList) -> Self {
         let mut fields: Vec<(Key, Node)> = Vec::new();
         for (mut key, value) in entries(node, what, problems) {
             if !known.contains(&&*key.text) {
@@ -42,7 +42,7 @@ impl Fields {
 }
 
 /// The entries of a map; none where nothing is written; anything else is reported.
-pub(super) fn entries(node: Node, what: &str, problems: &mut Problems) -> Vec<(Key, Node)> {
+pub(super) fn entries(node: Node, what: &str, problems: &mut ProblemList) -> Vec<(Key, Node)> {
     match node.value {
         Value::Map(mut entries) => {
             entries.retain(|(key, _)| &*key.text != UNUSABLE);
@@ -60,7 +60,7 @@ pub(super) fn entries(node: Node, what: &str, problems: &mut Problems) -> Vec<(K
 }
 
 /// True where the key is a valid name of a param or an axis.
-pub(super) fn value_name(key: &Key, what: &str, problems: &mut Problems) -> bool {
+pub(super) fn value_name(key: &Key, what: &str, problems: &mut ProblemList) -> bool {
     if names::RESERVED_VALUES.contains(&&*key.text) {
         problems.add(|| {
             Problem::new(
@@ -74,7 +74,7 @@ pub(super) fn value_name(key: &Key, what: &str, problems: &mut Problems) -> bool
     identifier(key, what, problems)
 }
 
-pub(super) fn identifier(key: &Key, what: &str, problems: &mut Problems) -> bool {
+pub(super) fn identifier(key: &Key, what: &str, problems: &mut ProblemList) -> bool {
     let fine = names::is_identifier(&key.text);
     if !fine {
         problems.add(|| {
@@ -97,7 +97,7 @@ pub(super) fn placed(key: Key, mut node: Node) -> Node {
 }
 
 /// The defaults of a kind: in the file itself, in a profile, or by `--set`.
-pub(super) fn kind_defaults(kind: Key, node: Node, problems: &mut Problems) -> Defaults {
+pub(super) fn kind_defaults(kind: Key, node: Node, problems: &mut ProblemList) -> Defaults {
     let what = format!("the defaults of kind `{}`", kind.text);
     let mut fields = Fields::read(node, &["with", "inputs"], &what, problems);
     let with = fields.take("with").map(|(key, node)| placed(key, node));

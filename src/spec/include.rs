@@ -8,7 +8,7 @@ use super::memo::Memo;
 use super::model::Spec;
 use super::node::{Key, Value, shorten};
 use super::pieces;
-use super::problem::{Problem, Problems};
+use super::problem::{Problem, ProblemList};
 use super::source::{Source, Sources, Span};
 use super::yaml;
 use super::{Diagnostics, Load, MAX_BYTES, SourceName, not_a_map};
@@ -24,7 +24,7 @@ pub(super) struct Reader<'r, 'l> {
     load: &'r mut Load<'l>,
     memo: Option<&'r mut Memo>,
     sources: Vec<Arc<Source>>,
-    problems: Problems,
+    problems: ProblemList,
     /// Those that are read, an included one before the file that includes it.
     files: Vec<File>,
     /// The paths of all that were begun; those that are being read, outermost first.
@@ -37,7 +37,7 @@ pub(super) struct Reader<'r, 'l> {
 impl<'r, 'l> Reader<'r, 'l> {
     /// For the pipeline file of that name. With a memo, files are read by pieces.
     pub fn new(name: &'r SourceName, load: &'r mut Load<'l>, memo: Option<&'r mut Memo>) -> Self {
-        let (sources, problems) = (Vec::new(), Problems::default());
+        let (sources, problems) = (Vec::new(), ProblemList::default());
         let (files, begun, open) = (Vec::new(), Vec::new(), Vec::new());
         Self { name, load, memo, sources, problems, files, begun, open, broken: false }
     }

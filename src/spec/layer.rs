@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use super::fields::{entries, kind_defaults};
 use super::model::{Defaults, Entries, Layer, Stage};
 use super::node::{Key, Node, shorten};
-use super::problem::{Problem, Problems};
+use super::problem::{Problem, ProblemList};
 use super::source::Span;
 use super::suggest;
 
@@ -36,7 +36,7 @@ impl<'a> Known<'a> {
 }
 
 /// Reads overrides; `what` names where they stand.
-pub(crate) fn overrides(node: Node, known: &Known<'_>, what: &str, problems: &mut Problems) -> Layer {
+pub(crate) fn overrides(node: Node, known: &Known<'_>, what: &str, problems: &mut ProblemList) -> Layer {
     let mut layer = Layer::default();
     let mut stages = Vec::new();
     for (key, node) in entries(node, what, problems) {
@@ -62,13 +62,13 @@ pub(crate) fn overrides(node: Node, known: &Known<'_>, what: &str, problems: &mu
 }
 
 /// Kind -> what its stages share.
-pub(crate) fn defaults(node: Option<Node>, problems: &mut Problems) -> Vec<Defaults> {
+pub(crate) fn defaults(node: Option<Node>, problems: &mut ProblemList) -> Vec<Defaults> {
     let Some(node) = node else { return Vec::new() };
     let kinds = entries(node, "`defaults`", problems);
     kinds.into_iter().map(|(kind, node)| kind_defaults(kind, node, problems)).collect()
 }
 
-fn is_param(key: &Key, known: &Known<'_>, problems: &mut Problems) -> bool {
+fn is_param(key: &Key, known: &Known<'_>, problems: &mut ProblemList) -> bool {
     let found = known.params.contains_key(&*key.text);
     if !found {
         problems.add(|| {
@@ -83,7 +83,7 @@ fn is_param(key: &Key, known: &Known<'_>, problems: &mut Problems) -> bool {
     found
 }
 
-fn is_axis(key: &Key, known: &Known<'_>, problems: &mut Problems) -> bool {
+fn is_axis(key: &Key, known: &Known<'_>, problems: &mut ProblemList) -> bool {
     let found = known.axes.contains_key(&*key.text);
     if !found {
         problems.add(|| {

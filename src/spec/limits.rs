@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::node::{Key, Node, Value};
-use super::problem::{Problem, Problems};
+use super::problem::{Problem, ProblemList};
 
 /// The maximum number of retries.
 const MOST_RETRIES: u64 = 1000;
@@ -51,7 +51,7 @@ pub(super) fn limits(
     retries: Option<(Key, Node)>,
     timeout: Option<(Key, Node)>,
     memory: Option<(Key, Node)>,
-    problems: &mut Problems,
+    problems: &mut ProblemList,
 ) -> Limits {
     let mut limits = Limits::default();
     if let Some((key, node)) = retries {
@@ -73,7 +73,7 @@ pub(super) fn limits(
 }
 
 /// Reads the field `resources` of a stage: `{ gpu: 1, licence: 2 }`.
-pub(super) fn resources(field: Option<(Key, Node)>, problems: &mut Problems) -> Resources {
+pub(super) fn resources(field: Option<(Key, Node)>, problems: &mut ProblemList) -> Resources {
     let mut all = BTreeMap::new();
     let Some((key, node)) = field else { return Resources::default() };
     let Value::Map(entries) = node.value else {
@@ -100,7 +100,7 @@ pub(super) fn resources(field: Option<(Key, Node)>, problems: &mut Problems) -> 
 }
 
 /// `3`, or `{ times: 3, pause: 30s }`.
-fn tries(key: Key, node: Node, limits: &mut Limits, problems: &mut Problems) {
+fn tries(key: Key, node: Node, limits: &mut Limits, problems: &mut ProblemList) {
     let expected = "a whole number up to 1000, or `{ times: 3, pause: 30s }`";
     match node.value {
         Value::Map(entries) => {
@@ -124,7 +124,7 @@ fn tries(key: Key, node: Node, limits: &mut Limits, problems: &mut Problems) {
     }
 }
 
-fn time(key: &Key, node: &Node, problems: &mut Problems) -> Option<Duration> {
+fn time(key: &Key, node: &Node, problems: &mut ProblemList) -> Option<Duration> {
     match plain(node).as_deref().map(parse_time) {
         Some(Ok(time)) if !time.is_zero() => Some(time),
         _ => {
@@ -143,7 +143,7 @@ fn plain(node: &Node) -> Option<String> {
     }
 }
 
-fn wrong(key: &Key, node: &Node, expected: &str, problems: &mut Problems) {
+fn wrong(key: &Key, node: &Node, expected: &str, problems: &mut ProblemList) {
     if !matches!(node.value, Value::Broken) {
         problems.add(|| {
             let span = if node.span.is_empty() { key.span } else { node.span };

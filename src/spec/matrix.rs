@@ -4,12 +4,12 @@
 use super::fields::{placed, value_name};
 use super::model::{MatrixAxis, Rules};
 use super::node::{Key, Node, Value};
-use super::problem::{Problem, Problems};
+use super::problem::{Problem, ProblemList};
 
 const HINT: &str = "write `matrix: [expert, seed]`, or `matrix: { k: [1, 2] }` for values of this stage only";
 
 /// Reads a matrix.
-pub(super) fn read(node: Node, problems: &mut Problems) -> (Vec<MatrixAxis>, Rules) {
+pub(super) fn read(node: Node, problems: &mut ProblemList) -> (Vec<MatrixAxis>, Rules) {
     let mut reader = Reader { axes: Vec::new(), rules: Rules::default(), groups: 0, problems };
     match node.value {
         Value::Null => {}
@@ -28,7 +28,7 @@ struct Reader<'p> {
     rules: Rules,
     /// Zips so far.
     groups: usize,
-    problems: &'p mut Problems,
+    problems: &'p mut ProblemList,
 }
 
 impl Reader<'_> {

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::SourceName;
 use super::limits::{Limits, Resources};
 use super::node::{Key, Node};
-use super::problem::Problems;
+use super::problem::ProblemList;
 use super::source::Source;
 
 /// A parsed pipeline file.
@@ -17,7 +17,7 @@ pub struct Spec {
     pub(crate) name: SourceName,
     /// The file and its included files.
     pub(crate) sources: Vec<Arc<Source>>,
-    pub(crate) problems: Problems,
+    pub(crate) problems: ProblemList,
     /// The pipeline's name; empty where it is missing.
     pub(crate) pipeline: String,
     /// Every param and axis by name, with its first value.

@@ -9,7 +9,7 @@ use std::ops::Range;
 
 use super::memo::{At, Memo};
 use super::node::{Key, MAX_DEPTH, Node, Value};
-use super::problem::Problems;
+use super::problem::ProblemList;
 use super::yaml;
 
 /// Placeholders for the file before a stage, for a stage before another, and for a key after it. No stage has such a name.
@@ -29,7 +29,7 @@ pub(super) fn read(text: &str, source: u16, memo: &mut Memo) -> Option<Node> {
 
 /// True where parsing `text` in pieces, with and without a memo, gives the same as parsing it as a whole. For tests and fuzzers.
 pub fn pieces_agree(text: &str) -> bool {
-    let mut problems = Problems::default();
+    let mut problems = ProblemList::default();
     let whole = format!("{:?}", yaml::read(text, 0, 0, &mut problems));
     let mut memo = Memo::default();
     for _ in 0..2 {

@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use super::*;
 
 fn whole(text: &str) -> Option<Node> {
-    yaml::read(text, 0, 0, &mut Problems::default())
+    yaml::read(text, 0, 0, &mut ProblemList::default())
 }
 
 /// True where a text can be read in pieces; then it is the same.

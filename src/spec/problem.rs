@@ -59,14 +59,14 @@ impl Problem {
 
 /// The problems so far. The same message at the same place counts once, however many stage instances have it.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Problems {
+pub(crate) struct ProblemList {
     found: Vec<Problem>,
     seen: HashSet<(Span, String)>,
     more: usize,
     reports: usize,
 }
 
-impl Problems {
+impl ProblemList {
     /// Reports a problem. The closure is called only if the problem will be listed: finding the nearest name takes time.
     pub fn add(&mut self, problem: impl FnOnce() -> Problem) {
         self.reports += 1;

@@ -169,7 +169,7 @@ fn seed(text: &str) -> Value {
     about(json!({ "anyOf": [{ "type": "integer", "minimum": 0 }, reference()] }), text)
 }
 
-/// A text in which `$name` stands for something.
+/// A text that contains a `$name`.
 fn reference() -> Value {
     json!({ "type": "string", "pattern": "\\$" })
 }

@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use serde_saphyr::granit_parser::{self, Event, Parser, ScalarStyle, Tag};
 
 use super::node::{Key, MAX_DEPTH, Node, UNUSABLE, Value};
-use super::problem::{Problem, Problems};
+use super::problem::{Problem, ProblemList};
 use super::scalar;
 use super::source::Span;
 use super::syntax;
@@ -18,7 +18,7 @@ const MAX_COPIES: usize = 100_000;
 
 /// Reads the one document of `text`, which is source number `source` from byte `offset` on. `None` where there is no
 /// tree to go on with, or no document; problems say which.
-pub(crate) fn read(text: &str, source: u16, offset: usize, problems: &mut Problems) -> Option<Node> {
+pub(crate) fn read(text: &str, source: u16, offset: usize, problems: &mut ProblemList) -> Option<Node> {
     let mut loader = Loader::new(source, offset, problems);
     loader.load(text)?;
     loader.root
@@ -26,7 +26,7 @@ pub(crate) fn read(text: &str, source: u16, offset: usize, problems: &mut Proble
 
 /// Reads a part of a file, in which nothing is wrong and which copies nothing; `None` for any other.
 pub(super) fn read_part(text: &str, source: u16, offset: usize) -> Option<Node> {
-    let mut problems = Problems::default();
+    let mut problems = ProblemList::default();
     let mut loader = Loader::new(source, offset, &mut problems);
     loader.load(text)?;
     let (root, copies) = (loader.root, loader.copies);
@@ -49,7 +49,7 @@ enum Content {
 struct Loader<'p> {
     source: u16,
     offset: usize,
-    problems: &'p mut Problems,
+    problems: &'p mut ProblemList,
     stack: Vec<Frame>,
     anchors: HashMap<usize, Node>,
     copies: usize,
@@ -58,7 +58,7 @@ struct Loader<'p> {
 }
 
 impl<'p> Loader<'p> {
-    fn new(source: u16, offset: usize, problems: &'p mut Problems) -> Self {
+    fn new(source: u16, offset: usize, problems: &'p mut ProblemList) -> Self {
         let (stack, anchors) = (Vec::new(), HashMap::new());
         Self { source, offset, problems, stack, anchors, copies: 0, documents: 0, root: None }
     }
@@ -270,7 +270,7 @@ impl<'p> Loader<'p> {
     }
 }
 
-fn usable_key(node: Node, problems: &mut Problems) -> Key {
+fn usable_key(node: Node, problems: &mut ProblemList) -> Key {
     let text = node.scalar_text();
     let span = node.via.unwrap_or(node.span);
     if let Some(text) = text.filter(|text| &**text != UNUSABLE) {

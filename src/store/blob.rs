@@ -66,7 +66,7 @@ impl Store {
             Some(there) => file = there,
             None => {
                 fsx::make_read_only(&file, path)?;
-                // Somebody else may be faster. What they put there stays: a stage may read it already, and takes another
+                // Another process may be faster. Its file stays: a stage may read it already, and would mistake another
                 // file in its place for one that was changed.
                 let made = match fsx::entry(&target)? {
                     None => fsx::rename_new(path, &target)?,

@@ -19,7 +19,7 @@ fn store() -> (tempfile::TempDir, Store) {
 }
 
 #[test]
-fn the_list_of_a_folder_stays_the_same_for_ever() {
+fn the_list_of_a_folder_never_changes() {
     let (digest, bytes) = (Digest::of(b"#!"), 2);
     let what = Part::File(FolderFile { digest, bytes, executable: true });
     let tool = FolderEntry { path: "bin/tool".into(), what };

@@ -158,7 +158,7 @@ impl History {
 fn push_line(bytes: &mut Vec<u8>, stage: &str, key: Key, outputs: &Outputs) {
     let start = bytes.len();
     let line = Line { stage: Cow::Borrowed(stage), key, outputs: Cow::Borrowed(outputs) };
-    // Strings, digests and whole numbers only: there is nothing in a line that JSON cannot say.
+    // Only strings, digests and whole numbers: this cannot fail.
     if serde_json::to_writer(&mut *bytes, &line).is_err() {
         bytes.truncate(start);
     } else {
@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn a_history_of_version_1_is_read_and_written_for_ever() {
+    fn a_history_of_version_1_stays_readable() {
         let golden = include_str!("../../tests/golden/history-v1.jsonl");
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(folder.path()).unwrap();

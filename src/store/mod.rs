@@ -28,7 +28,7 @@ pub use digest::{Digest, Key, NotHex};
 pub use folder::{Folder, FolderEntry, FolderFile, Part, hash_folder};
 pub use history::History;
 pub use in_use::InUse;
-pub use past::{Fate, PastRun, RunEnd, StageOfRun};
+pub use past::{PastRun, RunEnd, StageOfRun, StageState};
 pub use record::{Fingerprint, Outputs, RECORD_VERSION, Record, RecordInput, RecordItem, Stored};
 pub use run::Run;
 pub use stats::Stats;

@@ -40,7 +40,7 @@ pub struct StageOfRun {
     /// Its key, if it was known.
     pub key: Option<Key>,
     /// Its outcome.
-    pub fate: Fate,
+    pub fate: StageState,
     /// When that was logged, in seconds since the run started.
     pub at: f64,
     /// Its duration, if it finished.
@@ -53,7 +53,7 @@ pub struct StageOfRun {
 
 /// What became of a stage in a run.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Fate {
+pub enum StageState {
     /// It was cached.
     Cached,
     /// It was started and no end was logged: it is running, or died with the run.
@@ -71,7 +71,7 @@ pub enum Fate {
     Waiting,
 }
 
-impl Fate {
+impl StageState {
     /// Its name in output.
     pub fn name(self) -> &'static str {
         match self {
@@ -192,13 +192,13 @@ impl PastRun {
             return;
         }
         let fate = match &*line_of.event {
-            "cached" => Fate::Cached,
-            "started" => Fate::Started,
-            "finished" => Fate::Ran,
-            "failed" => Fate::Failed,
-            "skipped" => Fate::Skipped,
-            "stopped" => Fate::Stopped,
-            "waiting" => Fate::Waiting,
+            "cached" => StageState::Cached,
+            "started" => StageState::Started,
+            "finished" => StageState::Ran,
+            "failed" => StageState::Failed,
+            "skipped" => StageState::Skipped,
+            "stopped" => StageState::Stopped,
+            "waiting" => StageState::Waiting,
             _ => return,
         };
         let Some(name) = line_of.stage else { return };
@@ -208,7 +208,7 @@ impl PastRun {
         stage.key = line_of.key.or(stage.key);
         stage.seconds = line_of.seconds.or(stage.seconds);
         stage.error = line_of.error;
-        if fate == Fate::Started {
+        if fate == StageState::Started {
             stage.why = line_of.why;
         }
     }

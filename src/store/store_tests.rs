@@ -53,7 +53,7 @@ fn sample() -> Record {
 }
 
 #[test]
-fn a_record_of_version_1_is_read_and_written_for_ever() {
+fn a_record_of_version_1_stays_readable() {
     let read: Record = serde_json::from_str(RECORD_V1).unwrap();
     assert_eq!(read, sample());
     assert_eq!(serde_json::to_string(&sample()).unwrap(), RECORD_V1.trim_end());

@@ -125,7 +125,7 @@ impl Store {
         if repair && !verified.damage.is_empty() {
             let _alone = self.hold_alone()?;
             for damage in &verified.damage {
-                self.mend(damage)?;
+                self.repair(damage)?;
                 verified.repaired += 1;
             }
         }
@@ -183,7 +183,7 @@ impl Store {
         }))
     }
 
-    fn mend(&self, damage: &Damage) -> Result<(), StoreError> {
+    fn repair(&self, damage: &Damage) -> Result<(), StoreError> {
         let path = damage.path();
         if let Damage::Writable { .. } = damage {
             return Ok(fsx::make_read_only(&fsx::open(path)?, path)?);

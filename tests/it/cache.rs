@@ -138,7 +138,7 @@ fn a_lost_blob_is_made_again_and_nothing_behind_it_runs() {
 }
 
 #[test]
-fn a_truncated_blob_is_noticed_and_mended() {
+fn a_truncated_blob_is_noticed_and_rebuilt() {
     let lab = Lab::new();
     let first = lab.run(&pipeline());
     let path = blob(&lab, &first, "c", "count");
@@ -150,7 +150,7 @@ fn a_truncated_blob_is_noticed_and_mended() {
 }
 
 #[test]
-fn a_blob_of_the_right_length_but_wrong_content_is_mended_when_it_is_made_again() {
+fn a_blob_of_the_right_length_but_wrong_content_is_replaced_when_it_is_rebuilt() {
     let lab = Lab::new();
     let first = lab.run(&pipeline());
     let path = blob(&lab, &first, "c", "count");
@@ -162,7 +162,7 @@ fn a_blob_of_the_right_length_but_wrong_content_is_mended_when_it_is_made_again(
 }
 
 #[test]
-fn a_damaged_record_is_told_and_made_again() {
+fn a_damaged_record_is_reported_and_rebuilt() {
     let lab = Lab::new();
     lab.run(&pipeline());
     let records = records(&lab);

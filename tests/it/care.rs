@@ -30,7 +30,7 @@ fn contents(sealed: &Sealed, below: &str) -> Vec<String> {
 }
 
 #[test]
-fn verify_finds_every_sort_of_damage_and_repair_lets_the_next_run_mend_it() {
+fn verify_finds_every_kind_of_damage_and_the_next_run_after_repair_rebuilds_it() {
     let sealed = Sealed::with(WORDS);
     let table = {
         sealed.run_ok("run p.yaml");
@@ -138,7 +138,7 @@ fn gc_takes_nothing_from_a_run_that_goes_on() {
 }
 
 #[test]
-fn du_tells_the_room_by_folder_and_stage() {
+fn du_shows_disk_usage_by_folder_and_stage() {
     let sealed = Sealed::with(WORDS);
     sealed.run_ok("run p.yaml");
     let du = parsed(&sealed, "cache du --json");

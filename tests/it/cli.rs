@@ -83,7 +83,7 @@ fn a_second_run_executes_nothing_and_says_so() {
 }
 
 #[test]
-fn a_changed_parameter_reruns_what_plan_said_and_nothing_else() {
+fn a_changed_parameter_reruns_what_plan_showed_and_nothing_else() {
     let sealed = Sealed::with(WORDS);
     sealed.run_ok("run p.yaml");
     let planned = sealed.run_ok("plan p.yaml --set count.to=5");
@@ -105,7 +105,7 @@ fn an_edit_that_changes_no_output_stops_where_it_stands() {
 }
 
 #[test]
-fn lines_of_json_tell_the_whole_run() {
+fn json_lines_report_the_whole_run() {
     let sealed = Sealed::with(WORDS);
     let events = sealed.events("--jobs 1");
     let first = &events[0];

@@ -24,7 +24,7 @@ fn when_its_time_is_over_a_run_saves_its_state_and_says_what_is_left() {
 }
 
 #[test]
-fn what_is_left_is_told_to_programs_too() {
+fn what_is_left_is_in_the_json_too() {
     let sealed = Sealed::with(WORDS);
     let ended = sealed.run("run p.yaml --json --for 0.3s --set count.mishap=hang");
     let last = lines(&ended.stdout).pop().unwrap();

@@ -181,7 +181,7 @@ fn without_keep_going_nothing_starts_after_a_failure() {
 }
 
 #[test]
-fn every_way_to_fail_is_told_apart() {
+fn every_way_to_fail_has_its_own_error() {
     for (mishap, expected) in [
         ("fail", "told to fail at 1"),
         ("panic", "it panicked: told to panic at 1; see the log"),
@@ -299,7 +299,7 @@ fn a_stage_that_does_not_listen_is_killed_after_its_time() {
 }
 
 #[test]
-fn a_missing_worker_is_told_before_anything_runs() {
+fn a_missing_worker_is_reported_before_anything_runs() {
     let lab = Lab::new();
     let stages = [emit("first", 1.0), StageLine::new("second", "elsewhere", json!({"text": "x"}))];
     let graph = scenario::graph(&stages);

@@ -57,7 +57,7 @@ fn a_folder_is_its_files_and_their_names() {
 }
 
 #[test]
-fn a_folder_where_a_file_is_meant_and_the_other_way_are_told_with_their_line() {
+fn a_folder_in_place_of_a_file_and_the_reverse_are_reported_with_their_line() {
     let sealed = Sealed::with(TABLE);
     std::fs::create_dir(sealed.path("data.csv")).unwrap();
     let said = sealed.run("plan p.yaml").stderr;

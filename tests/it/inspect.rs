@@ -36,7 +36,7 @@ fn explain_names_the_field_that_made_a_stage_stale_back_to_the_first_cause() {
 }
 
 #[test]
-fn explain_still_tells_after_the_run_why_a_stage_ran() {
+fn explain_still_shows_after_the_run_why_a_stage_ran() {
     let sealed = Sealed::with(WORDS);
     sealed.run_ok("run p.yaml");
     assert!(sealed.run_ok("explain p.yaml").contains("every stage is up to date"));
@@ -53,7 +53,7 @@ fn explain_still_tells_after_the_run_why_a_stage_ran() {
 }
 
 #[test]
-fn a_stage_that_nobody_knows_is_answered_with_the_nearest_name() {
+fn an_unknown_stage_gets_a_hint_with_the_nearest_name() {
     let sealed = Sealed::with(WORDS);
     for command in ["explain p.yaml gathr", "show p.yaml gathr", "status p.yaml gathr"] {
         let ended = sealed.run(command);
@@ -63,7 +63,7 @@ fn a_stage_that_nobody_knows_is_answered_with_the_nearest_name() {
 }
 
 #[test]
-fn status_tells_fresh_stale_and_failed_stages_apart() {
+fn status_distinguishes_fresh_stale_and_failed_stages() {
     let sealed = Sealed::with(WORDS);
     sealed.run_ok("run p.yaml");
     let fresh = parsed(&sealed, "status p.yaml --json");

@@ -31,7 +31,7 @@ fn a_stage_that_fails_is_tried_again_as_often_as_it_may() {
 }
 
 #[test]
-fn after_the_last_try_the_last_error_is_told() {
+fn after_the_last_retry_the_last_error_is_reported() {
     let sealed = sealed("    retries: { times: 1, pause: 0.01s }\n", "mishap: flaky, times: 7");
     let ended = sealed.run("run p.yaml");
     assert_eq!(ended.code, 1, "{ended:?}");
@@ -51,7 +51,7 @@ fn a_stage_that_takes_too_long_may_save_its_state_and_goes_on_from_there() {
 }
 
 #[test]
-fn a_timeout_is_told_apart_from_a_failure() {
+fn a_timeout_is_distinguished_from_a_failure() {
     let sealed = sealed("    timeout: 0.2s\n", "to: 1000, step_millis: 20");
     let ended = sealed.run("run p.yaml --json");
     assert_eq!(ended.code, 1, "{ended:?}");
@@ -62,7 +62,7 @@ fn a_timeout_is_told_apart_from_a_failure() {
 
 #[test]
 #[cfg(target_os = "linux")]
-fn a_stage_that_takes_too_much_memory_is_killed_and_that_is_told_apart() {
+fn a_stage_over_its_memory_limit_is_killed_with_a_cause_of_its_own() {
     let sealed = sealed("    memory: 150M\n", "mishap: eat");
     let began = Instant::now();
     let ended = sealed.run("run p.yaml --json");
@@ -86,7 +86,7 @@ fn limits_enter_no_key() {
 }
 
 #[test]
-fn slips_in_limits_are_told_all_at_once_with_their_place() {
+fn mistakes_in_limits_are_reported_all_at_once_with_their_place() {
     let text = "    retries: many\n    timeout: soon\n    memory: 0\n";
     let ended = sealed(text, "to: 2").run("plan p.yaml");
     assert_eq!(ended.code, 3, "{ended:?}");

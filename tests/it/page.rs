@@ -45,7 +45,7 @@ fn a_page_tells_of_what_failed_and_a_run_with_failures_has_one() {
 }
 
 #[test]
-fn a_page_of_somebody_else_is_left_alone() {
+fn a_report_of_another_program_is_left_alone() {
     let sealed = Sealed::with(WORDS);
     sealed.write("results/words-full/report.html", "mine");
     let done = run(&sealed, "run p.yaml");

@@ -134,7 +134,7 @@ fn a_changed_file_from_outside_is_named() {
 }
 
 #[test]
-fn files_that_are_missing_or_no_files_are_all_told_with_their_place() {
+fn missing_and_wrong_files_are_all_reported_with_their_place() {
     let lab = Lab::new();
     std::fs::create_dir(lab.folder.path().join("folder")).unwrap();
     let stages = [StageLine::new("join", "concat", json!({}))
@@ -173,7 +173,7 @@ fn a_stage_behind_several_that_run_names_each_of_them_once() {
 }
 
 #[test]
-fn what_is_known_to_differ_is_told_before_the_inputs_are() {
+fn known_differences_are_reported_before_the_inputs_are_known() {
     let lab = Lab::new();
     lab.run(&pipeline());
     let mut stages = pipeline();

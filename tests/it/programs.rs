@@ -86,7 +86,7 @@ fn what_a_program_does_to_its_inputs_reaches_no_other_stage_and_no_result() {
 }
 
 #[test]
-fn a_content_that_was_damaged_in_the_store_is_given_to_no_program_and_made_again() {
+fn a_damaged_blob_is_given_to_no_program_and_rebuilt() {
     let sealed = Sealed::with(&SPOILED.replace("HOW", ":"));
     assert_eq!(run(&sealed, &["run", "p.yaml", "one", "made"]).code, 0);
     let blobs = sealed.path("cache/blobs-v1");
@@ -362,7 +362,7 @@ fn what_programs_and_editors_leave_beside_the_code_runs_nothing_again() {
 }
 
 #[test]
-fn a_stage_is_told_to_start_after_what_it_reads_has_finished() {
+fn a_stage_is_reported_to_start_after_its_inputs_have_finished() {
     let chain: String = (0..20)
         .map(|n| {
             let (read, input) = if n == 0 { (String::new(), String::new()) } else { (" {inputs.i}".to_owned(), format!(", inputs: {{ i: s{} }}", n - 1)) };
@@ -386,7 +386,7 @@ fn a_stage_is_told_to_start_after_what_it_reads_has_finished() {
 }
 
 #[test]
-fn counted_resources_are_never_shared_and_a_stage_is_told_which_units_it_holds() {
+fn counted_resources_are_never_shared_and_a_stage_knows_its_units() {
     let sealed = Sealed::new();
     let log = sealed.path("log").display().to_string();
     let stage = |name: &str, wants: &str, text: &str| {

@@ -91,7 +91,7 @@ fn mode_of_a_new_file(sealed: &Sealed) -> u32 {
 }
 
 #[test]
-fn a_note_that_points_outside_its_folder_removes_nothing() {
+fn a_manifest_that_points_outside_its_folder_removes_nothing() {
     let sealed = Sealed::with(TWO);
     sealed.run_ok("run p.yaml");
     sealed.write("results/precious.md", &sealed.read("results/two-default/first.md"));
@@ -103,7 +103,7 @@ fn a_note_that_points_outside_its_folder_removes_nothing() {
 }
 
 #[test]
-fn a_note_that_cannot_be_read_is_written_anew() {
+fn an_unreadable_manifest_of_results_is_written_again() {
     let sealed = Sealed::with(TWO);
     sealed.run_ok("run p.yaml");
     let note = sealed.read("results/two-default/.dril-pipe.json");
@@ -113,7 +113,7 @@ fn a_note_that_cannot_be_read_is_written_anew() {
 }
 
 #[test]
-fn where_results_cannot_be_copied_the_run_still_tells_what_it_did() {
+fn if_results_cannot_be_copied_the_run_still_reports_what_it_did() {
     let sealed = Sealed::with(TWO);
     sealed.write("taken", "a file");
     let ended = sealed.run("run p.yaml --out taken/folder");

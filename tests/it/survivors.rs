@@ -84,7 +84,7 @@ fn what_a_stage_started_is_gone_soon_after_its_engine_was_interrupted_twice_or_k
 }
 
 #[test]
-fn what_one_stage_left_is_told_from_what_another_still_needs() {
+fn leftovers_of_one_stage_are_distinguished_from_what_another_needs() {
     let sealed = Sealed::new();
     let pids = sealed.path("pids").display().to_string();
     sealed.write(

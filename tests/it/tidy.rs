@@ -272,7 +272,7 @@ fn one_file_talks_to_servers() {
 }
 
 #[test]
-fn no_file_names_a_place_on_somebody_s_machine() {
+fn no_file_names_a_path_of_a_particular_machine() {
     let places = ["work/", "home/", "root/", "Users/"].map(|place| format!("/{place}"));
     let starts =
         ["src", "stages", "tests", "xtask", "docs", "pipelines", "README.md", "CHANGELOG.md", "Cargo.toml"];

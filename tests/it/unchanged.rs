@@ -106,7 +106,7 @@ fn another_folder_takes_the_long_way() {
 }
 
 #[test]
-fn a_run_of_several_files_is_told_in_the_short_way_until_one_of_them_changes() {
+fn an_unchanged_run_of_several_files_is_recognised_until_one_of_them_changes() {
     let stage = "name: x\nstages:\n  a: { kind: emit, with: { text: one } }\n";
     let sealed = Sealed::with("name: x\ninclude: parts/more.yaml\n");
     sealed.write("parts/more.yaml", "include: a.yaml\n");

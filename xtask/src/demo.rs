@@ -53,7 +53,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_results_are_where_the_run_was_told_to_put_them() {
+    fn the_results_are_in_the_chosen_folder() {
         let folder =
             |args: &[&str]| results_folder(&args.iter().map(ToString::to_string).collect::<Vec<_>>());
         assert_eq!(folder(&["--jobs", "2"]), Path::new("results/thesis-smoke"));

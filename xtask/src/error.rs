@@ -1,4 +1,4 @@
-//! What can go wrong in `cargo xtask`, with a remedy for everything a user can mend.
+//! What can go wrong in `cargo xtask`, with a remedy for everything that a user can fix.
 
 use std::fmt;
 use std::io;

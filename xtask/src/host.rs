@@ -99,7 +99,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn other_platforms_are_told_about_libtorch_in_the_environment() {
+    fn other_platforms_get_a_hint_about_libtorch_in_the_environment() {
         assert!(check_platform("linux", "x86_64").is_ok());
         for (os, arch) in [("macos", "aarch64"), ("linux", "aarch64"), ("windows", "x86_64")] {
             let error = check_platform(os, arch).unwrap_err();

@@ -13,7 +13,7 @@ const PARTIAL: &str = ".libtorch.partial-";
 const UNPACK: &str = include_str!("unpack.py");
 
 /// torch-sys links with `-ltorch`. The wheel's real `libtorch.so` is an empty shell that pulls in the CUDA libraries;
-/// a linker script of that name stands for the two libraries that hold the code.
+/// a linker script with that name refers to the two libraries that contain the code.
 const LINKER_SCRIPT: &str = "INPUT(-ltorch_cpu -lc10)";
 
 /// Installs libtorch into `target` unless it is there already.
@@ -119,7 +119,7 @@ fn assemble(partial: &Path) -> Result<(), Error> {
     Ok(())
 }
 
-/// Puts the finished folder in its place; an unusable one that stands there goes the way of the working folder.
+/// Puts the finished folder in its place; an unusable old one is removed with the working folder.
 fn publish(partial: &Path, target: &Path) -> Result<(), Error> {
     if target.symlink_metadata().is_ok() {
         fs::rename(target, partial.join("old")).map_err(Error::io("move away", target))?;

@@ -6,7 +6,7 @@ use super::{PipelineArgs, StoreArgs};
 
 /// Stages of a pipeline, and the cache.
 #[derive(Debug, Args)]
-pub(in crate::cli) struct LookArgs {
+pub(in crate::cli) struct InspectArgs {
     #[command(flatten)]
     pub pipeline: PipelineArgs,
     /// Stages: `table22`, `'table*'`, `'evaluate[policy=beta]'`
@@ -23,14 +23,14 @@ pub(in crate::cli) struct LookArgs {
 #[command(after_help = "Without STAGE, every stage that is not up to date is explained.")]
 pub(in crate::cli) struct ExplainArgs {
     #[command(flatten)]
-    pub look: LookArgs,
+    pub look: InspectArgs,
 }
 
 #[derive(Debug, Args)]
 #[command(after_help = "Without STAGE, all stages are shown.")]
 pub(in crate::cli) struct StatusArgs {
     #[command(flatten)]
-    pub look: LookArgs,
+    pub look: InspectArgs,
     /// Show one line per stage instance
     #[arg(long, conflicts_with = "json")]
     pub all: bool,
@@ -40,7 +40,7 @@ pub(in crate::cli) struct StatusArgs {
 #[command(mut_arg("stages", |stages| stages.required(true)))]
 pub(in crate::cli) struct ShowArgs {
     #[command(flatten)]
-    pub look: LookArgs,
+    pub look: InspectArgs,
 }
 
 #[derive(Debug, Args)]

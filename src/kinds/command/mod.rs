@@ -224,7 +224,7 @@ fn check_names(params: &CommandParams, problems: &mut Problems) {
     }
 }
 
-/// Paths stay inside the working folder, and no two of them meet.
+/// Paths must stay inside the working folder and must not overlap.
 fn check_paths(params: &CommandParams, problems: &mut Problems) {
     let inputs = params.input_names().into_iter().map(|name| ("inputs", name, params.input_path(name)));
     let outputs = params.outputs.keys().map(|name| ("outputs", name.as_str(), params.output_path(name)));

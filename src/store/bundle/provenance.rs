@@ -170,7 +170,7 @@ fn action(all: &Crate<'_>, key: &Key, record: &Record) -> Value {
         "actionStatus": "http://schema.org/CompletedActionStatus",
         "description": format!("key {key}, took {:.3} s on {}", record.seconds, record.fingerprint.platform),
     });
-    // What was cached was made by an earlier run, whose clock is not known here.
+    // A cached result was built by an earlier run, whose clock is not known here.
     if let Some(stage) =
         all.run.stages.values().find(|stage| stage.key == Some(*key) && stage.seconds.is_some())
     {

@@ -78,7 +78,7 @@ impl Side {
     }
 
     fn fate(&self) -> &'static str {
-        // Cached here and made there is the same to somebody who compares results.
+        // For a comparison of results, cached and run are the same.
         if self.record.is_some() { "done" } else { self.fate }
     }
 }

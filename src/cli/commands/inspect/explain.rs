@@ -45,7 +45,7 @@ pub(in crate::cli) fn main(args: &ExplainArgs, registry: &Registry) -> Result<Ex
         return Ok(ExitCode::SUCCESS);
     }
     let explained = plan::explain(&plan, &store, &asked)?;
-    let mut teller = Teller {
+    let mut teller = Printer {
         plan: &plan,
         store: &store,
         terminal: Terminal::stdout(),
@@ -61,7 +61,7 @@ pub(in crate::cli) fn main(args: &ExplainArgs, registry: &Registry) -> Result<Ex
     Ok(ExitCode::SUCCESS)
 }
 
-struct Teller<'a> {
+struct Printer<'a> {
     plan: &'a Plan<'a>,
     store: &'a Store,
     terminal: Terminal,
@@ -70,7 +70,7 @@ struct Teller<'a> {
     told: Vec<bool>,
 }
 
-impl<'a> Teller<'a> {
+impl<'a> Printer<'a> {
     fn at(&self, at: usize) -> &'a Explanation {
         &self.explained.all[at]
     }
@@ -100,7 +100,7 @@ impl<'a> Teller<'a> {
             match step {
                 Next::Line(line) => *text += &line,
                 Next::Below { at, .. } if std::mem::replace(&mut self.told[at], true) => {
-                    // Said where it stands for the first time.
+                    // Its reasons are listed at its first occurrence.
                     let end = text.trim_end().len();
                     text.insert_str(end, " (as above)");
                 }

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use crate::error::Error;
 use crate::plan::{Plan, Verdict};
-use crate::store::{Fate, Key, Store};
+use crate::store::{Key, StageState, Store};
 
 /// The number of past runs that are searched.
 const RUNS: usize = 20;
@@ -27,7 +27,7 @@ impl Failures {
             if run.pipeline != plan.graph.pipeline || run.profile != plan.graph.profile {
                 continue;
             }
-            for stage in run.stages.into_values().filter(|stage| stage.fate == Fate::Failed) {
+            for stage in run.stages.into_values().filter(|stage| stage.fate == StageState::Failed) {
                 if let Some(key) = stage.key {
                     failures.messages.entry(key).or_insert(stage.error.unwrap_or_default());
                 }

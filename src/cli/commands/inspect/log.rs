@@ -11,7 +11,7 @@ use crate::cli::terminal::{print, printable, shown};
 use crate::error::{Error, ErrorKind};
 use crate::fsx;
 use crate::resolve::Pattern;
-use crate::store::{Fate, PastRun, Store};
+use crate::store::{PastRun, StageState, Store};
 
 /// The default number of lines.
 const LINES: usize = 10_000;
@@ -79,7 +79,9 @@ fn find(
     };
     for id in ids {
         let run = store.past_run(&id)?;
-        let started = |fate: Fate| matches!(fate, Fate::Ran | Fate::Failed | Fate::Started | Fate::Stopped);
+        let started = |fate: StageState| {
+            matches!(fate, StageState::Ran | StageState::Failed | StageState::Started | StageState::Stopped)
+        };
         let stages = run.stages.iter().filter(|(id, stage)| started(stage.fate) && pattern.means_id(id));
         let stages: Vec<String> = stages.map(|(id, _)| id.clone()).collect();
         if !stages.is_empty() {

@@ -9,7 +9,7 @@ use crate::cli::args::RunsArgs;
 use crate::cli::terminal::{Style, Terminal, print, printable};
 use crate::cli::{columns, pipeline};
 use crate::error::Error;
-use crate::store::{Fate, PastRun};
+use crate::store::{PastRun, StageState};
 
 pub(in crate::cli) fn main(args: &RunsArgs) -> Result<ExitCode, Error> {
     let store = pipeline::store(&args.store)?;
@@ -53,7 +53,11 @@ fn ending(run: &PastRun) -> String {
     let Some(end) = run.end else {
         let count = |fate| run.stages.values().filter(|stage| stage.fate == fate).count();
         let state = if run.alive { "running" } else { "died" };
-        return format!("{state}: {} ran, {} in progress", count(Fate::Ran), count(Fate::Started));
+        return format!(
+            "{state}: {} ran, {} in progress",
+            count(StageState::Ran),
+            count(StageState::Started)
+        );
     };
     let counts = [
         (end.ran, "ran"),

@@ -15,7 +15,7 @@ use crate::cli::{columns, pipeline};
 use crate::error::Error;
 use crate::plan::{self, Estimates, Plan, Verdict};
 use crate::resolve::StageIndex;
-use crate::store::{Fate, Key, PastRun, Store};
+use crate::store::{Key, PastRun, StageState, Store};
 
 /// The number of past runs that are searched for failures.
 const RUNS: usize = 20;
@@ -104,7 +104,7 @@ impl Past {
     }
 
     /// The latest entry of that key with that fate.
-    fn told(&self, key: &Key, fate: Fate) -> Option<(&PastRun, &crate::store::StageOfRun)> {
+    fn told(&self, key: &Key, fate: StageState) -> Option<(&PastRun, &crate::store::StageOfRun)> {
         self.runs.iter().find_map(|run| {
             let mut stages = run.stages.values();
             stages.find(|stage| stage.key == Some(*key) && stage.fate == fate).map(|stage| (run, stage))
@@ -130,11 +130,11 @@ fn line(
         }
         Some(Verdict::Run { key, .. }) if store.is_being_made(key) => {
             line.state = State::Running;
-            line.since = past.told(key, Fate::Started).map(|(run, stage)| run.time(stage.at));
+            line.since = past.told(key, StageState::Started).map(|(run, stage)| run.time(stage.at));
         }
         Some(Verdict::Run { key, .. }) => {
             line.state = State::Stale;
-            if let Some((run, failed)) = past.told(key, Fate::Failed) {
+            if let Some((run, failed)) = past.told(key, StageState::Failed) {
                 line.state = State::Failed;
                 line.since = Some(run.time(failed.at));
                 line.error.clone_from(&failed.error);
