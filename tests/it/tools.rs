@@ -42,3 +42,9 @@ fn a_tool_works_on_a_file_and_its_options_are_checked_first() {
         missing.stderr
     );
 }
+
+#[test]
+fn the_help_of_a_tool_begins_with_its_own_description() {
+    let help = Sealed::new().run_ok("peek --help");
+    assert!(help.starts_with("Print what a tool is asked for\n"), "{help}");
+}

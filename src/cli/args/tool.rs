@@ -44,11 +44,12 @@ struct Choices {
 pub(super) fn command(tool: &Tool) -> clap::Command {
     let artifact = Arg::new("artifact").value_name(tool.value_name).required(true).help(tool.artifact_about);
     let examples: String = tool.examples.iter().map(|example| format!("\n  {example}")).collect();
-    let mut command = clap::Command::new(tool.name).about(tool.about).arg(artifact);
+    let mut command = clap::Command::new(tool.name).arg(artifact);
     if !examples.is_empty() {
         command = command.after_help(format!("Examples:{examples}"));
     }
-    Choices::augment_args(command.args(tool.options.iter().map(option)))
+    // Last, since the shared arguments bring a description of their own.
+    Choices::augment_args(command.args(tool.options.iter().map(option))).about(tool.about)
 }
 
 fn option(option: &ToolOption) -> Arg {
@@ -62,7 +63,7 @@ fn option(option: &ToolOption) -> Arg {
         ToolValue::Count => arg.value_name("N").value_parser(value_parser!(u64)),
         ToolValue::Number => arg.value_name("NUMBER").value_parser(number),
         ToolValue::Yaml(_) => arg.value_name("YAML"),
-        ToolValue::Choice(words) => arg.value_parser(words.to_vec()),
+        ToolValue::Choice(words) => arg.value_name("CHOICE").value_parser(words.to_vec()),
         ToolValue::NewFile(..) => arg.short('o').value_name("FILE").value_parser(value_parser!(PathBuf)),
     }
 }
