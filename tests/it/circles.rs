@@ -143,8 +143,7 @@ impl Source {
         let code = code(text);
         let mut source = Self::default();
         let mut rest = String::new();
-        let mut statements = code.split_inclusive(';').peekable();
-        while let Some(statement) = statements.next() {
+        for statement in code.split_inclusive(';') {
             match declaration(statement) {
                 Some((before, is_public, tree)) => {
                     rest.push_str(before);
