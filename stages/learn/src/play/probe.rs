@@ -160,7 +160,6 @@ fn distribution(row: Row<'_>, expert: &[f32]) -> Result<Vec<u8>, StageError> {
             }
         }
     }
-    drop(write);
     writer.into_inner().map_err(StageError::failed)
 }
 
