@@ -11,6 +11,7 @@
 //! | [`session`] | pipeline file + store | [`session::Finished`] | all of the above, results folder and lock file |
 //! | [`store`] | | | content-addressed blobs, records, locks |
 //! | [`remote`] | | | a cache that several machines share |
+//! | [`slurm`] | | | runs stages as jobs of a cluster |
 //! | [`cli`] | arguments | exit code | the only module that prints, reads the environment or exits |
 //!
 //! [`settings`] reads `dril-pipe.toml`, which changes where and how stages run, and no result.
@@ -30,6 +31,7 @@ pub mod remote;
 pub mod resolve;
 pub mod session;
 pub mod settings;
+pub mod slurm;
 pub mod spec;
 pub mod store;
 

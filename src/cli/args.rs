@@ -1,6 +1,7 @@
 //! The command line as clap parses it, and nothing else: no other file names clap.
 
 mod cache;
+mod executor;
 mod inspect;
 mod page;
 mod remote;
@@ -17,6 +18,7 @@ use super::Extensions;
 use crate::resolve::{Choices, Selection};
 use crate::spec::limits::parse_time;
 pub(super) use cache::{CacheArgs, CacheCommand, DuArgs, ExportArgs, GcArgs, ImportArgs, VerifyArgs};
+pub(super) use executor::{Executor, ExecutorArgs};
 pub(super) use inspect::{DiffArgs, ExplainArgs, LogArgs, RunsArgs, ShowArgs, StatusArgs};
 pub(super) use page::ReportArgs;
 pub(super) use remote::{RemoteArgs, RemoteModeArgs, TransferArgs};
@@ -158,6 +160,8 @@ pub(super) struct RunArgs {
     pub select: SelectArgs,
     #[command(flatten)]
     pub store: StoreArgs,
+    #[command(flatten)]
+    pub executor: ExecutorArgs,
     #[command(flatten)]
     pub remote: RemoteArgs,
     #[command(flatten)]

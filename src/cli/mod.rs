@@ -6,6 +6,7 @@
 mod args;
 mod columns;
 mod commands;
+mod executor;
 mod giving;
 mod names;
 mod pipeline;
@@ -25,6 +26,7 @@ use dril_stage_api::{Registry, Reply, Tool};
 
 use crate::error::{Error, exit_codes};
 use crate::exec;
+use crate::slurm;
 use args::{Command, Request};
 pub use commands::page::{Page, keep_page};
 use commands::{cache, graph, inspect, kinds, page, plan, run, shell, tool, watch};
@@ -68,6 +70,12 @@ pub fn run_with(
     // First of all: every stage pays for what happens before this.
     if let Some(job) = stage_job(&args) {
         return exec::run_stage(Path::new(job), &registry);
+    }
+    if let [_, name, folder] = &*args
+        && name == slurm::NODE
+    {
+        let job = std::env::var("SLURM_JOB_ID").unwrap_or_default();
+        return slurm::run_on_node(Path::new(folder), &job, &registry);
     }
     if let [_, name] = &*args
         && name == exec::WARDEN

@@ -44,6 +44,8 @@ pub(super) fn settings(pipeline: Option<&Path>) -> Result<Settings, Error> {
     let folder = std::env::var_os("XDG_CONFIG_HOME").filter(|value| !value.is_empty()).map(PathBuf::from);
     let folder = folder.or_else(|| Some(home()?.join(".config")));
     let far = folder.map(|folder| folder.join("dril-pipe").join(settings::FILE));
+    // A home that may not be looked into, as that of the user who called `su`, has no settings for this one.
+    let far = far.filter(|far| matches!(fsx::entry(far), Ok(Some(_))));
     let files: Vec<PathBuf> = std::iter::once(near).chain(far).collect();
     Settings::read(&files).map_err(|error| {
         Error::new(ErrorKind::Usage, error).hint("docs/cluster.md lists all settings with their defaults")

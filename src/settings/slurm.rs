@@ -48,8 +48,8 @@ pub struct SlurmSettings {
     pub kinds: BTreeMap<String, JobSettings>,
     /// By a pattern of stage names, as `dril*`; counts more than the kind.
     pub stages: BTreeMap<String, JobSettings>,
-    /// Jobs that may be queued or running at the same time.
-    pub max_jobs: Option<NonZeroUsize>,
+    /// Threads that queued and running jobs may ask for together.
+    pub max_threads: Option<NonZeroUsize>,
     /// Kinds that run beside the engine instead of in a job; without it, those that the engine's own program runs.
     pub local: Option<Vec<String>>,
 }
@@ -76,7 +76,7 @@ impl SlurmSettings {
                 mine.entry(name).or_default().fill_from(&settings);
             }
         }
-        self.max_jobs = self.max_jobs.or(other.max_jobs);
+        self.max_threads = self.max_threads.or(other.max_threads);
         self.local = self.local.take().or(other.local);
     }
 }
@@ -118,7 +118,7 @@ struct Written {
     kinds: BTreeMap<String, JobSettings>,
     #[serde(default, deserialize_with = "patterns")]
     stages: BTreeMap<String, JobSettings>,
-    max_jobs: Option<NonZeroUsize>,
+    max_threads: Option<NonZeroUsize>,
     local: Option<Vec<String>>,
 }
 
@@ -126,8 +126,8 @@ impl From<Written> for SlurmSettings {
     fn from(written: Written) -> Self {
         let Written { partition, account, qos, time, memory, threads, signal, extra, setup, .. } = written;
         let all = JobSettings { partition, account, qos, time, memory, threads, signal, extra, setup };
-        let Written { kinds, stages, max_jobs, local, .. } = written;
-        Self { all, kinds, stages, max_jobs, local }
+        let Written { kinds, stages, max_threads, local, .. } = written;
+        Self { all, kinds, stages, max_threads, local }
     }
 }
 

@@ -42,6 +42,7 @@ mod samples;
 mod scenario;
 mod sealed;
 mod size;
+mod slurm;
 mod survivors;
 #[cfg(feature = "stages")]
 mod thesis;

@@ -8,7 +8,7 @@ use crate::cli::args::RunArgs;
 use crate::cli::pipeline;
 use crate::cli::terminal::{Style, Terminal, count, print, print_error, printable, shown};
 use crate::error::{Error, exit_codes};
-use crate::exec::{self, ChildRunner, Options, RecheckOutcome};
+use crate::exec::{self, Options, RecheckOutcome, Runner};
 use crate::plan;
 use crate::resolve::Graph;
 use crate::store::Store;
@@ -18,7 +18,7 @@ pub(in crate::cli) fn main(
     args: &RunArgs,
     graph: &Graph,
     store: &Store,
-    runner: &ChildRunner,
+    runner: &dyn Runner,
     options: &Options,
     stop: &AtomicBool,
 ) -> Result<u8, Error> {

@@ -10,14 +10,16 @@ use crate::cli::args::RunArgs;
 use crate::cli::report::{self, Ending};
 use crate::cli::shared::{Exchange, Taken};
 use crate::cli::terminal::{Style, Terminal, count, duration, print, shown};
-use crate::cli::{giving, pipeline, resources, shared, signals};
+use crate::cli::{executor, giving, pipeline, resources, shared, signals};
 use crate::error::{Error, ErrorKind, exit_codes};
-use crate::exec::{self, ChildRunner, Executed, Options};
+use crate::exec::{Executed, Options};
 use crate::session::{LockMode, UpToDate};
 
 pub(in crate::cli) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Error> {
     let began = Instant::now();
-    let options = options(args, began)?;
+    let slurm = shared::settings(Some(&args.pipeline.file))?.slurm;
+    let mut options = options(args, began)?;
+    executor::adapt(&mut options, args, &slurm);
     let session = pipeline::session(&args.pipeline, &args.store, registry)?
         .selection(args.select.selection())
         .lock(lock_mode(args))
@@ -49,9 +51,9 @@ pub(in crate::cli) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCo
     let prepared = loaded.prepare(plan)?;
     let mut reporter = report::choose(args, loaded.graph());
     reporter.planned(prepared.plan(), options.threads);
-    let runner = runner()?;
+    let runner = executor::runner(args, slurm, session.store().root())?;
     let (finished, given) = giving::beside(shared.as_ref(), session.store(), &stop, |on_event| {
-        prepared.execute(&runner, &stop, &mut |event| {
+        prepared.execute(&*runner, &stop, &mut |event| {
             on_event(event);
             reporter.event(event);
         })
@@ -68,7 +70,7 @@ pub(in crate::cli) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCo
     page::after_run(args, loaded.whole_graph(), session.store(), &finished.folder);
     if args.check_determinism && code == exit_codes::OK {
         drop(reporter);
-        code = recheck::main(args, loaded.graph(), session.store(), &runner, &options, &stop)?;
+        code = recheck::main(args, loaded.graph(), session.store(), &*runner, &options, &stop)?;
     }
     Ok(ExitCode::from(code))
 }
@@ -79,14 +81,6 @@ fn lock_mode(args: &RunArgs) -> LockMode {
         (_, true) => LockMode::Check,
         _ => LockMode::Update,
     }
-}
-
-fn runner() -> Result<ChildRunner, Error> {
-    // While it runs stages, this program starts no other processes.
-    exec::claim_all_children();
-    ChildRunner::this_program().map_err(|error| {
-        Error::new(ErrorKind::Io, format!("cannot find the path of this executable: {error}"))
-    })
 }
 
 fn options(args: &RunArgs, began: Instant) -> Result<Options, Error> {

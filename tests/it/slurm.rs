@@ -1,0 +1,178 @@
+//! Stages as jobs of a cluster, by a simulated one: many nodes, a busy `sbatch`, lost answers and lost jobs.
+//! `tests/slurm/run.sh` does the same on a real Slurm.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::mpsc::{Sender, channel};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use dril_pipe::exec::Options;
+use dril_pipe::settings::SlurmSettings;
+use dril_pipe::slurm::{JobId, Pace, Scheduler, Seen, SlurmRunner, State, Submission, SubmitError};
+use serde_json::{Value, json};
+
+use crate::lab::{Lab, Ran};
+use crate::scenario::StageLine;
+
+/// A cluster whose nodes write at once what a stage would: the name of the stage.
+#[derive(Default)]
+struct Simulated {
+    jobs: Mutex<BTreeMap<JobId, (String, Seen)>>,
+    next: AtomicUsize,
+    submissions: AtomicUsize,
+    lists: AtomicUsize,
+    looks: AtomicUsize,
+    /// So many submissions are refused for now.
+    busy: AtomicUsize,
+    /// So many are taken, and the answer is lost.
+    unanswered: AtomicUsize,
+    /// So many jobs vanish with their node.
+    lost: AtomicUsize,
+    nodes: Mutex<Option<Sender<(JobId, PathBuf)>>>,
+}
+
+fn one_less(count: &AtomicUsize) -> bool {
+    count.fetch_update(Ordering::SeqCst, Ordering::SeqCst, |left| left.checked_sub(1)).is_ok()
+}
+
+impl Simulated {
+    /// With threads that stand for nodes.
+    fn start(threads: usize) -> Arc<Self> {
+        let (sender, receiver) = channel::<(JobId, PathBuf)>();
+        let cluster = Arc::new(Self { nodes: Mutex::new(Some(sender)), ..Self::default() });
+        let receiver = Arc::new(Mutex::new(receiver));
+        for _ in 0..threads {
+            let (cluster, receiver) = (Arc::downgrade(&cluster), Arc::clone(&receiver));
+            std::thread::spawn(move || {
+                loop {
+                    let next = receiver.lock().unwrap().recv();
+                    let Ok((job, folder)) = next else { return };
+                    let Some(cluster) = cluster.upgrade() else { return };
+                    cluster.work(&job, &folder);
+                }
+            });
+        }
+        cluster
+    }
+
+    fn work(&self, job: &JobId, folder: &Path) {
+        let is_lost = one_less(&self.lost);
+        if !is_lost {
+            let handoff: Value =
+                serde_json::from_slice(&std::fs::read(folder.join("handoff.json")).unwrap()).unwrap();
+            for output in handoff["job"]["outputs"].as_object().unwrap().values() {
+                std::fs::write(output["path"].as_str().unwrap(), handoff["job"]["stage"].as_str().unwrap())
+                    .unwrap();
+            }
+            let ended = json!({ "version": 1, "job": job, "node": "n1", "how": "done", "said": [] });
+            std::fs::write(folder.join(".ended"), ended.to_string()).unwrap();
+            std::fs::rename(folder.join(".ended"), folder.join("ended.json")).unwrap();
+            let notice = folder.parent().unwrap().join("ended").join(folder.file_name().unwrap());
+            std::fs::write(notice, job).unwrap();
+        }
+        let word = if is_lost { "NODE_FAIL" } else { "COMPLETED" };
+        if let Some((_, seen)) = self.jobs.lock().unwrap().get_mut(job) {
+            seen.state = State::Over(word.to_owned());
+        }
+    }
+}
+
+impl Scheduler for Simulated {
+    fn check(&self) -> Result<(), String> {
+        Ok(())
+    }
+
+    fn submit(&self, submission: &Submission) -> Result<JobId, SubmitError> {
+        self.submissions.fetch_add(1, Ordering::SeqCst);
+        if one_less(&self.busy) {
+            return Err(SubmitError::Busy("socket timed out".to_owned()));
+        }
+        let job = self.next.fetch_add(1, Ordering::SeqCst).to_string();
+        let seen = Seen { state: State::Running, node: "n1".to_owned() };
+        self.jobs.lock().unwrap().insert(job.clone(), (submission.name.clone(), seen));
+        let nodes = self.nodes.lock().unwrap();
+        nodes.as_ref().unwrap().send((job.clone(), submission.folder.clone())).unwrap();
+        if one_less(&self.unanswered) {
+            Err(SubmitError::Busy("socket timed out".to_owned()))
+        } else {
+            Ok(job)
+        }
+    }
+
+    fn list(&self) -> Result<BTreeMap<JobId, Seen>, String> {
+        self.lists.fetch_add(1, Ordering::SeqCst);
+        Ok(self.jobs.lock().unwrap().iter().map(|(job, (_, seen))| (job.clone(), seen.clone())).collect())
+    }
+
+    fn look(&self, job: &JobId) -> Result<Option<Seen>, String> {
+        self.looks.fetch_add(1, Ordering::SeqCst);
+        Ok(self.jobs.lock().unwrap().get(job).map(|(_, seen)| seen.clone()))
+    }
+
+    fn find(&self, name: &str) -> Result<Option<JobId>, String> {
+        let jobs = self.jobs.lock().unwrap();
+        Ok(jobs.iter().find(|(_, (known, _))| known == name).map(|(job, _)| job.clone()))
+    }
+
+    fn stop(&self, _: &[JobId]) -> Result<(), String> {
+        Ok(())
+    }
+
+    fn cancel(&self, _: &[JobId]) -> Result<(), String> {
+        Ok(())
+    }
+}
+
+fn run(cluster: &Arc<Simulated>, count: usize) -> (Lab, Ran) {
+    let lab = Lab::new();
+    let settings = SlurmSettings { local: Some(Vec::new()), ..SlurmSettings::default() };
+    let pace = Pace {
+        look: Duration::from_millis(20),
+        ask: Duration::from_millis(200),
+        settle: Duration::from_millis(100),
+    };
+    let scheduler: Arc<dyn Scheduler> = Arc::<Simulated>::clone(cluster);
+    let runner = SlurmRunner::new(scheduler, settings, lab.store.root(), false, pace).unwrap();
+    let stages: Vec<StageLine> = (0..count)
+        .map(|number| StageLine::new(&format!("s{number}"), "emit", json!({ "text": number.to_string() })))
+        .collect();
+    let options = Options { threads: 1000, ..Options::default() };
+    let ran = lab.run_with(&stages, &runner, &options, &AtomicBool::new(false));
+    (lab, ran)
+}
+
+#[test]
+fn many_stages_on_many_nodes_ask_the_scheduler_rarely() {
+    let count: usize = std::env::var("DRIL_TEST_STAGES").map_or(200, |count| count.parse().unwrap());
+    let cluster = Simulated::start(4);
+    let began = Instant::now();
+    let (_lab, ran) = run(&cluster, count);
+    let took = began.elapsed();
+    assert_eq!(ran.counts(), [count, 0, 0, 0, 0], "{}", ran.error());
+    assert_eq!(cluster.submissions.load(Ordering::SeqCst), count, "each stage is one job");
+    let asked = cluster.lists.load(Ordering::SeqCst) as u128;
+    assert!(asked <= took.as_millis() / 200 + 1, "{asked} questions in {took:?}");
+    println!("{count} stages in {took:?}, {asked} lists, {} looks", cluster.looks.load(Ordering::SeqCst));
+}
+
+#[test]
+fn a_busy_scheduler_a_lost_answer_and_a_lost_node_cost_time_only() {
+    let cluster = Simulated::start(2);
+    cluster.busy.store(2, Ordering::SeqCst);
+    cluster.unanswered.store(1, Ordering::SeqCst);
+    cluster.lost.store(2, Ordering::SeqCst);
+    let (_lab, ran) = run(&cluster, 6);
+    assert_eq!(ran.counts(), [6, 0, 0, 0, 0], "{}", ran.error());
+    assert_eq!(cluster.next.load(Ordering::SeqCst), 8, "six stages, and two jobs that were lost");
+}
+
+#[test]
+fn a_stage_whose_jobs_are_lost_again_and_again_fails() {
+    let cluster = Simulated::start(1);
+    cluster.lost.store(usize::MAX, Ordering::SeqCst);
+    let (_lab, ran) = run(&cluster, 1);
+    assert_eq!(ran.counts(), [0, 0, 1, 0, 0]);
+    assert!(ran.error().contains("ended on node `n1` without a result (NODE_FAIL)"), "{}", ran.error());
+}

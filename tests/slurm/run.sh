@@ -1,0 +1,178 @@
+#!/usr/bin/env bash
+# Tests `run --executor slurm` on a real Slurm: the one that is here, or one of a single node that this script starts.
+# Ends with 0 and a line that says so where there is no Slurm. `tests/slurm/run.sh [NAME]...` runs only these tests.
+set -euo pipefail
+here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
+cd "$here/../.."
+
+if ! command -v sbatch >/dev/null; then
+    echo "SKIPPED: no Slurm here (apt-get install --no-install-recommends slurm-wlm slurmctld slurmd slurm-client munge)"
+    exit 0
+fi
+features=${FEATURES:---no-default-features}
+# shellcheck disable=SC2086
+[ -n "${PROGRAM:-}" ] || cargo build --package dril-pipe $features --example fakes
+program=$(realpath "${PROGRAM:-${CARGO_TARGET_DIR:-target}/debug/examples/fakes}")
+
+root=$(mktemp -d /var/tmp/dril-slurm-XXXXXX)
+started=
+if ! timeout 5 sinfo >/dev/null 2>&1; then
+    if [ "$(id -u)" != 0 ]; then
+        echo "SKIPPED: Slurm is installed and not running, and only root can start it"
+        exit 0
+    fi
+    "$here/up.sh" "$root/slurm" >/dev/null
+    started=1
+    export SLURM_CONF=$root/slurm/slurm.conf
+fi
+finish() {
+    scancel --me 2>/dev/null || true
+    [ -z "$started" ] || "$here/down.sh" "$root/slurm"
+    # Daemons that are about to end may still write.
+    rm -rf "$root" 2>/dev/null || { sleep 3; rm -rf "$root"; } || true
+}
+trap finish EXIT
+
+fail() { echo "FAILED: $1" >&2; tail -n 30 ./*.out ./trace 2>/dev/null >&2 || true; exit 1; }
+# Waits at most a minute until a command succeeds.
+until_true() { for _ in $(seq 600); do eval "$1" && return; sleep 0.1; done; fail "waited in vain until $1"; }
+running() { [ -n "$(squeue --noheader --me --states=RUNNING)" ]; }
+no_jobs() { [ -z "$(squeue --noheader --me)" ]; }
+begun() { [ ! -e trace ] && echo 0 || grep -c "^begin ${1:-}" trace || true; }
+# Steps of the long stages; each is counted once where nothing was lost and nothing was done twice.
+steps() { grep -c '^step' trace || true; }
+slurm() { "$program" run p.yaml --executor slurm --checkpoint-every 0 "$@"; }
+# Starts an engine in the background; a process of its own, so that signals reach it and no shell.
+start() {
+    "$program" run p.yaml --executor slurm --checkpoint-every 0 "$@" >run.out 2>&1 &
+    engine=$!
+}
+same_as_local() {
+    env -u DRIL_FAKES_TRACE "$program" run p.yaml --cache local-cache --out local >local.out 2>&1 || fail "the local run"
+    diff -r --exclude=.dril-pipe.json --exclude=report.html local results/chain-default || fail "other bytes than locally"
+}
+
+# A folder of its own for a test: two chains of a long stage and a table of both.
+place() {
+    mkdir -p "$root/$1" && cd "$root/$1"
+    export DRIL_FAKES_TRACE=$PWD/trace
+    cat >p.yaml <<YAML
+name: chain
+axes: { word: [one, two] }
+stages:
+  say: { kind: emit, matrix: [word], with: { text: "\${word} " } }
+  count: { kind: count, matrix: [word], with: { to: ${2:-20}, step_millis: 100 }, inputs: { start: say } }
+  gather: { kind: concat, inputs: { parts: count.count } }
+YAML
+    cat >dril-pipe.toml <<TOML
+[slurm]
+local = ["concat"]
+memory = "100M"
+${3:-}
+TOML
+}
+
+test_the_same_bytes_as_locally() {
+    place bytes 3
+    slurm >run.out 2>&1 || fail "the run"
+    same_as_local
+}
+
+test_a_cancelled_job_fails_its_stage_and_the_next_run_goes_on() {
+    place cancel
+    start
+    until_true running; sleep 1
+    scancel --me
+    wait "$engine" && fail "a run whose jobs were cancelled succeeded"
+    grep -q "was cancelled" run.out || fail "it does not say that its job was cancelled"
+    slurm >again.out 2>&1 || fail "the next run"
+    same_as_local
+}
+
+test_a_requeued_job_goes_on_from_its_checkpoint() {
+    place requeue 40
+    start
+    until_true '[ "$(begun count)" -ge 2 ]'; sleep 1
+    squeue --noheader --me --states=RUNNING --format=%i | while read -r job; do scontrol requeue "$job"; done
+    # Slurm keeps a requeued job back for a while.
+    wait "$engine" || fail "the run"
+    [ "$(begun count)" = 4 ] || fail "$(begun count) long stages begun, expected each of both twice"
+    [ "$(steps)" -lt 85 ] || fail "$(steps) steps, expected about 80: what was saved is not done again"
+    same_as_local
+}
+
+test_a_new_engine_finds_the_jobs_of_a_killed_one() {
+    place killed 60
+    start
+    until_true '[ "$(begun)" -ge 4 ]'
+    kill -9 "$engine"; wait "$engine" || true
+    running || fail "the jobs died with their engine"
+    slurm >again.out 2>&1 || fail "the next run"
+    [ "$(begun)" = 5 ] || fail "$(begun) stages begun, expected 5: none of them twice"
+    same_as_local
+}
+
+test_an_interrupt_leaves_no_jobs_and_loses_no_work() {
+    place interrupt 40
+    start
+    until_true '[ "$(begun count)" -ge 2 ]'; sleep 1.5
+    kill -TERM "$engine"
+    code=0; wait "$engine" || code=$?
+    [ "$code" = 130 ] || fail "exit code $code, expected 130"
+    until_true no_jobs
+    slurm >again.out 2>&1 || fail "the next run"
+    [ "$(begun count)" = 4 ] || fail "$(begun count) long stages begun, expected each of both twice"
+    [ "$(steps)" = 80 ] || fail "$(steps) steps, expected 80: none of them twice"
+    same_as_local
+}
+
+test_detached_jobs_go_on_without_an_engine() {
+    place detach 30
+    start --detach
+    until_true '[ "$(begun)" -ge 4 ]'
+    kill -TERM "$engine"; wait "$engine" || true
+    running || fail "the jobs were cancelled"
+    until_true no_jobs
+    slurm >again.out 2>&1 || fail "the next run"
+    [ "$(begun)" = 5 ] || fail "$(begun) stages begun, expected 5: none of them twice"
+    same_as_local
+}
+
+test_a_controller_that_is_away_for_a_while_costs_time_only() {
+    [ -n "$started" ] || { echo "  skipped: not our own Slurm"; return 0; }
+    place controller 30
+    start
+    until_true running
+    kill "$(cat "$root/slurm/run/slurmctld.pid")"
+    sleep 25
+    slurmctld -f "$SLURM_CONF"
+    wait "$engine" || fail "the run"
+    [ "$(begun)" = 5 ] || fail "$(begun) stages begun, expected 5: none of them twice"
+    same_as_local
+}
+
+test_a_stage_goes_on_in_job_after_job() {
+    # A job of a minute that is asked to stop 50 seconds before its end.
+    place limit 1000 $'time = "1m"\nsignal = "50s"'
+    slurm >run.out 2>&1 || fail "the run"
+    [ "$(begun count)" -ge 6 ] || fail "$(begun count) jobs for the two stages, expected three or more for each"
+    [ "$(steps)" = 2000 ] || fail "$(steps) steps, expected 2000: none of them twice"
+    same_as_local
+}
+
+test_an_error_names_its_node_and_job() {
+    place error 3
+    if slurm --set count.mishap=fail --set count.at=2 >run.out 2>&1; then fail "the run of failing stages succeeded"; fi
+    grep -q "on node \`$(hostname -s)\` (Slurm job [0-9]*)" run.out || fail "the error does not name its node"
+    printf '[slurm]\nlocal = []\npartition = "nowhere"\n' >dril-pipe.toml
+    if slurm >refused.out 2>&1; then fail "a partition that is not there was taken"; fi
+    grep -q "Slurm does not take its job: .*[Ii]nvalid partition" refused.out || fail "the refusal is not told"
+}
+
+tests=("$@")
+[ "$#" -gt 0 ] || mapfile -t tests < <(declare -F | sed -n 's/^declare -f \(test_.*\)$/\1/p')
+for name in "${tests[@]}"; do
+    began=$SECONDS
+    (unset DRIL_FAKES_TRACE; "test_${name#test_}") || { echo "FAILED ${name#test_}"; exit 1; }
+    echo "ok ${name#test_} ($((SECONDS - began)) s)"
+done
