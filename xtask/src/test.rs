@@ -27,10 +27,11 @@ const STEPS: [Step; 6] = [
         args: "test --no-fail-fast --package xtask --package dril-stage-api --package dril-report",
         component: None,
     },
-    // Off by default, so nothing else builds it. With a server, `tests/remote/s3.sh` tests more.
+    // Off by default, so nothing else builds it. The filter stands behind `--`: before it, cargo would not build the
+    // example that the tests start. With a server, `tests/remote/s3.sh` tests more.
     Step {
         name: "shared cache",
-        args: "test --no-fail-fast --package dril-pipe --no-default-features --features remote remote",
+        args: "test --no-fail-fast --package dril-pipe --no-default-features --features remote -- remote",
         component: None,
     },
     Step {
