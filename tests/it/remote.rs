@@ -169,7 +169,7 @@ fn kill_until_done(
     longest: u64,
     variables: &[(String, String)],
 ) -> u64 {
-    let mut kills = 0;
+    let (mut kills, mut failures) = (0, 0);
     loop {
         let mut command = machine.command(args);
         command.envs(variables.iter().cloned()).stdout(Stdio::null()).stderr(Stdio::null());
@@ -187,7 +187,10 @@ fn kill_until_done(
         };
         match ended {
             Some(status) if status.success() => return kills,
-            Some(_) => {}
+            Some(status) => {
+                failures += 1;
+                assert!(failures < 100, "`{args}` ends by itself with {status}");
+            }
             None => {
                 child.kill().unwrap();
                 child.wait().unwrap();
