@@ -43,8 +43,12 @@ pub fn check(root: &Path) -> Result<Option<String>, Error> {
     Ok(None)
 }
 
-fn browser() -> Option<&'static str> {
-    BROWSERS.into_iter().find(|name| process::output(Command::new(name).arg("--version")).is_some())
+/// The first browser that runs, by its path: puppeteer does not search `PATH`.
+fn browser() -> Option<PathBuf> {
+    let path = std::env::var_os("PATH")?;
+    let folders: Vec<PathBuf> = std::env::split_paths(&path).filter(|folder| folder.is_absolute()).collect();
+    let mut programs = BROWSERS.iter().flat_map(|name| folders.iter().map(move |folder| folder.join(name)));
+    programs.find(|program| process::output(Command::new(program).arg("--version")).is_some())
 }
 
 /// Writes the pages; gives their files.
