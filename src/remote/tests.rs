@@ -207,6 +207,8 @@ impl Wire for Cut {
 
 #[test]
 fn a_network_that_loses_cuts_and_flips_costs_time_and_no_byte() {
+    // A round counts only where no answer was wrong. With one in three, that is a few rounds in a hundred.
+    const MOST_ROUNDS: u32 = 5000;
     let (one, memory) = (Machine::new(), Memory::default());
     let keys = samples(&one, 24);
     for faults in [3, 5, 9] {
@@ -215,13 +217,13 @@ fn a_network_that_loses_cuts_and_flips_costs_time_and_no_byte() {
         let mut rounds = 0;
         while one.push(&remote(&memory), &keys).known < keys.len() {
             rounds += 1;
-            assert!(rounds < 200);
+            assert!(rounds < MOST_ROUNDS);
         }
         let other = Machine::new();
         let mut rounds = 0;
         while other.pull(&remote(&memory), &keys).known < keys.len() {
             rounds += 1;
-            assert!(rounds < 200);
+            assert!(rounds < MOST_ROUNDS);
             assert!(other.is_sound());
         }
         for key in &keys {
