@@ -1,6 +1,7 @@
 //! Passes the events of a run to the reporter and writes them to `events.jsonl` in the run's folder, one JSON object per line,
 //! for `status`, `runs` and `explain`. Format version 1; `at` is in seconds since the run began. Progress is not written.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -10,6 +11,7 @@ use serde_json::{Value, json};
 use super::event::{Event, RunOutcome};
 use super::in_order::InOrder;
 use super::options::Options;
+use crate::plan;
 use crate::resolve::{Graph, StageIndex};
 use crate::store::{Fingerprint, Key, Run, Store, StoreError};
 
@@ -38,7 +40,11 @@ impl<'a, 's> Journal<'a, 's> {
         if let Event::Cached { .. } = event {
             return self.emit_now(event);
         }
-        for event in self.order.next(self.graph, event) {
+        let graph = self.graph;
+        let is_fed_by = |stage: StageIndex, open: &BTreeSet<StageIndex>| {
+            plan::feeding(graph, stage).any(|feeder| open.contains(&feeder))
+        };
+        for event in self.order.next(&is_fed_by, event) {
             self.emit_now(&event);
         }
     }
