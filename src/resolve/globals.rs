@@ -133,6 +133,12 @@ pub(super) fn seed(node: &Node, scope: &Scope<'_>, filler: &mut Filler<'_>) -> O
     };
     if number.is_none() {
         let at = if value.span.is_empty() { node.span } else { value.span };
+        let hint = match value.scalar_text() {
+            Some(text) if text.parse::<u64>().is_ok() && node.scalar_text().is_none_or(|it| it != text) => {
+                "names of values with fields are texts: add a field `seed`, and write `$axis.seed`"
+            }
+            _ => "write a number, or `$axis` for one seed per instance",
+        };
         filler.problems.add(|| {
             Problem::new(
                 at,
@@ -143,7 +149,7 @@ pub(super) fn seed(node: &Node, scope: &Scope<'_>, filler: &mut Filler<'_>) -> O
                 ),
             )
             .maybe_related(value.via, "used here")
-            .hint("write a number, or `$axis` for one seed per instance")
+            .hint(hint)
         });
     }
     number
