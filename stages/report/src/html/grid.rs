@@ -142,7 +142,6 @@ impl Grid {
     }
 
     pub(crate) fn table(&self, caption: &str) -> Markup {
-        let has_reference = self.cells.iter().any(|(_, _, cell)| cell.reference.is_some());
         let has_few = self.cells.iter().any(|(_, _, cell)| cell.episodes < FEWEST_EPISODES);
         html! {
             div class="wide" tabindex="0" role="region" aria-label=(caption) {
@@ -169,18 +168,22 @@ impl Grid {
                     } } }
                 }
             }
-            (self.explain(has_reference, has_few))
+            (self.explain(has_few))
         }
     }
 
-    fn explain(&self, has_reference: bool, has_few: bool) -> Markup {
+    fn explain(&self, has_few: bool) -> Markup {
         let columns = self.across.join(" · ");
+        let has = |test: fn(&Cell) -> bool| self.cells.iter().any(|(_, _, cell)| test(cell));
+        let has_reference = has(|cell| cell.reference.is_some());
+        let has_distance = has(|cell| cell.distance().is_some());
+        let lacks_deviation = has(|cell| matches!(cell.reference, Some((_, None))));
         html! {
             p class="quiet legend" {
                 "Mean ± standard deviation over episodes"
                 @if has_reference { ", with the published value below" }
                 @if !columns.is_empty() { ". Columns: " (columns) }
-                @if has_reference {
+                @if has_distance {
                     ". Colour: this run is "
                     span class="d3" { "▼3" } span class="d2" { "▼2" } span class="d1" { "▼1" }
                     " or more standard errors of the difference below it, or "
@@ -188,6 +191,7 @@ impl Grid {
                     " or more above (over episodes; "
                     (rounded(PUBLISHED_EPISODES)) " per published value)"
                 }
+                @if lacks_deviation { ". Values published without a deviation give no colour" }
                 @if has_few { ". " span class="few" { "Hatched" } ": fewer than " (FEWEST_EPISODES) " episodes, no interval" }
                 "."
             }
@@ -211,6 +215,20 @@ mod tests {
         // Ten points of √2 standard errors each: far above; and 50 points of 2.4 below, over few episodes.
         assert!(page.contains("class=\"n u3\"") && page.contains("class=\"n d3 few\""), "{page}");
         assert!(page.contains("<td></td>"), "a combination that was not measured is empty");
+    }
+
+    #[test]
+    fn colours_are_explained_only_where_there_are_some() {
+        let page = |reference: &str| {
+            let text =
+                format!("n,mean,std,episodes,reference_mean,reference_std\n1,100.00,10.00,100,{reference}\n");
+            let csv = Csv::parse(text.as_bytes()).unwrap();
+            Grid::of(&json!({ "keys": ["n"] }), &csv).unwrap().table("T").into_string()
+        };
+        let (both, mean, none) = (page("90,10"), page("90,"), page(","));
+        assert!(both.contains("Colour: ") && !both.contains("give no colour"), "{both}");
+        assert!(mean.contains("give no colour") && !mean.contains("Colour: "), "{mean}");
+        assert!(!none.contains("give no colour") && !none.contains("Colour: "), "{none}");
     }
 
     #[test]
