@@ -72,10 +72,11 @@ pub fn run_with(
         return exec::run_stage(Path::new(job), &registry);
     }
     if let [_, name, folder] = &*args
-        && name == slurm::NODE
+        && (name == slurm::NODE || name == slurm::PILOT)
     {
+        let run = if name == slurm::NODE { slurm::run_on_node } else { slurm::run_pilot };
         let job = std::env::var("SLURM_JOB_ID").unwrap_or_default();
-        return slurm::run_on_node(Path::new(folder), &job, &registry);
+        return run(Path::new(folder), &job, &registry);
     }
     if let [_, name] = &*args
         && name == exec::WARDEN

@@ -27,15 +27,17 @@ pub struct JobSettings {
     /// `--mem` in bytes, for stages that have no `memory`.
     #[serde(deserialize_with = "size")]
     pub memory: Option<u64>,
-    /// `--cpus-per-task`, instead of the threads that the stage asks for.
+    /// `--cpus-per-task`, instead of the threads that the stage requests.
     pub threads: Option<NonZeroUsize>,
-    /// How long before the end of `time` a stage is asked to save its checkpoint.
+    /// How long before the end of `time` a stage gets the signal to save its checkpoint.
     #[serde(deserialize_with = "time")]
     pub signal: Option<Duration>,
-    /// Further words for `sbatch`, as `--constraint=avx2`.
+    /// Further arguments of `sbatch`, as `--constraint=avx2`.
     pub extra: Option<Vec<String>>,
     /// Lines of shell that run before the stage, as `module load openblas`.
     pub setup: Option<Vec<String>>,
+    /// False: these stages have jobs of their own where there are pilots.
+    pub pilot: Option<bool>,
 }
 
 /// `[slurm]`.
@@ -50,12 +52,16 @@ pub struct SlurmSettings {
     pub stages: BTreeMap<String, JobSettings>,
     /// Threads that queued and running jobs may ask for together.
     pub max_threads: Option<NonZeroUsize>,
+    /// Long-lived jobs that run one stage after the other; without it, every stage has a job of its own.
+    pub pilots: Option<usize>,
+    /// How long a pilot waits for work before it ends.
+    pub pilot_idle: Option<Duration>,
     /// Kinds that run beside the engine instead of in a job; without it, those that the engine's own program runs.
     pub local: Option<Vec<String>>,
 }
 
 impl SlurmSettings {
-    /// What the job of a stage asks for. `stage` is the stage's name, without what it is an instance of.
+    /// What the job of a stage requests. `stage` is the stage's name, without what it is an instance of.
     pub fn of(&self, stage: &str, kind: &str) -> JobSettings {
         let mut all = JobSettings::default();
         // Where several patterns fit, the first in the order of the alphabet counts most.
@@ -77,6 +83,8 @@ impl SlurmSettings {
             }
         }
         self.max_threads = self.max_threads.or(other.max_threads);
+        self.pilots = self.pilots.or(other.pilots);
+        self.pilot_idle = self.pilot_idle.or(other.pilot_idle);
         self.local = self.local.take().or(other.local);
     }
 }
@@ -95,6 +103,7 @@ impl JobSettings {
         self.signal = self.signal.or(other.signal);
         self.extra = self.extra.take().or_else(|| other.extra.clone());
         self.setup = self.setup.take().or_else(|| other.setup.clone());
+        self.pilot = self.pilot.or(other.pilot);
     }
 }
 
@@ -114,20 +123,25 @@ struct Written {
     signal: Option<Duration>,
     extra: Option<Vec<String>>,
     setup: Option<Vec<String>>,
+    pilot: Option<bool>,
     #[serde(default)]
     kinds: BTreeMap<String, JobSettings>,
     #[serde(default, deserialize_with = "patterns")]
     stages: BTreeMap<String, JobSettings>,
     max_threads: Option<NonZeroUsize>,
+    pilots: Option<usize>,
+    #[serde(default, deserialize_with = "time")]
+    pilot_idle: Option<Duration>,
     local: Option<Vec<String>>,
 }
 
 impl From<Written> for SlurmSettings {
     fn from(written: Written) -> Self {
-        let Written { partition, account, qos, time, memory, threads, signal, extra, setup, .. } = written;
-        let all = JobSettings { partition, account, qos, time, memory, threads, signal, extra, setup };
-        let Written { kinds, stages, max_threads, local, .. } = written;
-        Self { all, kinds, stages, max_threads, local }
+        let Written { partition, account, qos, time, memory, threads, signal, extra, setup, pilot, .. } =
+            written;
+        let all = JobSettings { partition, account, qos, time, memory, threads, signal, extra, setup, pilot };
+        let Written { kinds, stages, max_threads, pilots, pilot_idle, local, .. } = written;
+        Self { all, kinds, stages, max_threads, pilots, pilot_idle, local }
     }
 }
 
@@ -157,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_said_of_a_stage_counts_more_than_of_its_kind_and_that_more_than_of_all() {
+    fn settings_of_a_stage_take_precedence_over_those_of_its_kind_and_these_over_all() {
         let text = "[slurm]\npartition = \"all\"\ntime = \"1h\"\nmemory = \"2G\"\n\
                     [slurm.kinds.ppo]\npartition = \"kind\"\ntime = \"2h\"\n\
                     [slurm.stages.\"exp*\"]\ntime = \"3h\"\nextra = [\"--exclusive\"]\n";

@@ -1,5 +1,5 @@
-//! Slurm by its commands: `sbatch`, `squeue`, `scontrol`, `scancel`. Never `sacct`, which many clusters switch off and
-//! others answer from a database that is hours behind.
+//! Slurm through its commands: `sbatch`, `squeue`, `scontrol`, `scancel`. Never `sacct`: many clusters switch accounting off,
+//! and on others its database is hours behind.
 
 use std::collections::BTreeMap;
 use std::io::ErrorKind;
@@ -12,7 +12,7 @@ use super::scheduler::{JobId, Scheduler, Seen, State, Submission, SubmitError};
 #[derive(Clone, Debug, Default)]
 pub struct Slurm;
 
-/// What a refusal says that will be the same the next time.
+/// Parts of messages of `sbatch` after which trying again is useless.
 const FINAL: [&str; 9] = [
     "invalid",
     "unrecognized",
@@ -25,7 +25,8 @@ const FINAL: [&str; 9] = [
     "memory specification can not be satisfied",
 ];
 
-/// Variables of a job that the engine itself may run in; some of them contradict what a new job asks for.
+/// Variables of a job that the engine itself may run in. Commands take defaults from them, which may contradict the options
+/// of a new job.
 const INHERITED: [&str; 6] = [
     "SLURM_MEM_PER_CPU",
     "SLURM_MEM_PER_NODE",
@@ -36,12 +37,16 @@ const INHERITED: [&str; 6] = [
 ];
 
 impl Scheduler for Slurm {
+    fn name(&self) -> &str {
+        "Slurm"
+    }
+
     fn check(&self) -> Result<(), String> {
-        ask(Command::new("squeue").args(["--noheader", "--me", "--format=%i"])).map(drop)
+        output_of(Command::new("squeue").args(["--noheader", "--me", "--format=%i"])).map(drop)
     }
 
     fn submit(&self, submission: &Submission) -> Result<JobId, SubmitError> {
-        let output = ask(Command::new("sbatch").args(words(submission))).map_err(|error| {
+        let output = output_of(Command::new("sbatch").args(arguments(submission))).map_err(|error| {
             let lower = error.to_ascii_lowercase();
             if FINAL.iter().any(|text| lower.contains(text)) || lower.starts_with(MISSING) {
                 SubmitError::Refused(error)
@@ -61,13 +66,17 @@ impl Scheduler for Slurm {
     }
 
     fn list(&self) -> Result<BTreeMap<JobId, Seen>, String> {
-        let output =
-            ask(Command::new("squeue").args(["--noheader", "--me", "--states=all", "--format=%i|%T|%N"]))?;
+        let output = output_of(Command::new("squeue").args([
+            "--noheader",
+            "--me",
+            "--states=all",
+            "--format=%i|%T|%N",
+        ]))?;
         Ok(output.lines().filter_map(line).collect())
     }
 
     fn look(&self, job: &JobId) -> Result<Option<Seen>, String> {
-        match ask(Command::new("scontrol").args(["--oneliner", "show", "job", job])) {
+        match output_of(Command::new("scontrol").args(["--oneliner", "show", "job", job])) {
             Ok(output) => Ok(seen(&output)),
             Err(error) if error.contains("Invalid job id") => Ok(None),
             Err(error) => Err(error),
@@ -76,14 +85,19 @@ impl Scheduler for Slurm {
 
     fn find(&self, name: &str) -> Result<Option<JobId>, String> {
         let name = format!("--name={name}");
-        let output =
-            ask(Command::new("squeue").args(["--noheader", "--me", "--states=all", "--format=%i", &name]))?;
+        let output = output_of(Command::new("squeue").args([
+            "--noheader",
+            "--me",
+            "--states=all",
+            "--format=%i",
+            &name,
+        ]))?;
         Ok(output.lines().map(str::trim).find(|line| !line.is_empty()).map(str::to_owned))
     }
 
     fn stop(&self, jobs: &[JobId]) -> Result<(), String> {
         cancel(&["--state=PENDING"], jobs)?;
-        // To the script alone, which is the program that runs the stage: it asks the stage to stop.
+        // Only to the job's script, which is the program that runs the stage: it makes the stage stop.
         cancel(&["--batch", "--signal=USR1", "--state=RUNNING"], jobs)
     }
 
@@ -93,8 +107,8 @@ impl Scheduler for Slurm {
 }
 
 /// The arguments of `sbatch`.
-fn words(submission: &Submission) -> Vec<String> {
-    let Submission { name, script, folder, threads, memory, time, signal, gpus, words } = submission;
+fn arguments(submission: &Submission) -> Vec<String> {
+    let Submission { name, script, folder, threads, memory, time, signal, gpus, extra } = submission;
     let folder = folder.display();
     let mut all = vec![
         "--parsable".to_owned(),
@@ -113,22 +127,22 @@ fn words(submission: &Submission) -> Vec<String> {
     if *gpus > 0 {
         all.push(format!("--gres=gpu:{gpus}"));
     }
-    all.extend(words.iter().cloned());
+    all.extend(extra.iter().cloned());
     all.push(script.display().to_string());
     all
 }
 
-/// Slurm counts whole minutes.
+/// Slurm counts in whole minutes.
 fn minutes(time: Duration) -> u64 {
     time.as_secs().div_ceil(60).max(1)
 }
 
-fn cancel(words: &[&str], jobs: &[JobId]) -> Result<(), String> {
-    // The command line has room for some thousand numbers.
+fn cancel(options: &[&str], jobs: &[JobId]) -> Result<(), String> {
+    // A command line has room for some thousand IDs.
     for jobs in jobs.chunks(1000) {
-        match ask(Command::new("scancel").args(words).args(jobs)) {
+        match output_of(Command::new("scancel").args(options).args(jobs)) {
             Ok(_) => {}
-            // One that has ended in the meantime is fine.
+            // It is fine if a job has ended in the meantime.
             Err(error) if error.contains("Invalid job id") || error.contains("already completing") => {}
             Err(error) => return Err(error),
         }
@@ -138,34 +152,34 @@ fn cancel(words: &[&str], jobs: &[JobId]) -> Result<(), String> {
 
 /// `4711|RUNNING|n1`
 fn line(line: &str) -> Option<(JobId, Seen)> {
-    let mut words = line.trim().split('|');
-    let (job, state, node) = (words.next()?, words.next()?, words.next().unwrap_or_default());
+    let mut fields = line.trim().split('|');
+    let (job, state, node) = (fields.next()?, fields.next()?, fields.next().unwrap_or_default());
     Some((job.to_owned(), Seen { state: self::state(state), node: node.to_owned() }))
 }
 
-/// From the line of `scontrol show job`.
+/// From the output of `scontrol --oneliner show job`.
 fn seen(line: &str) -> Option<Seen> {
     let field = |name: &str| line.split_whitespace().find_map(|word| word.strip_prefix(name));
     let node = field("BatchHost=").or_else(|| field("NodeList=")).filter(|node| *node != "(null)");
     Some(Seen { state: state(field("JobState=")?), node: node.unwrap_or_default().to_owned() })
 }
 
-/// A word that nobody knows is taken for a job that goes on: a newer Slurm may have more of them.
-fn state(word: &str) -> State {
-    match word {
+/// An unknown state counts as running: a newer Slurm may have further states.
+fn state(name: &str) -> State {
+    match name {
         "PENDING" | "REQUEUED" | "REQUEUE_FED" | "REQUEUE_HOLD" | "RESV_DEL_HOLD" | "SPECIAL_EXIT" => {
             State::Waiting
         }
         "BOOT_FAIL" | "CANCELLED" | "COMPLETED" | "DEADLINE" | "FAILED" | "NODE_FAIL" | "OUT_OF_MEMORY"
-        | "PREEMPTED" | "REVOKED" | "TIMEOUT" => State::Over(word.to_owned()),
+        | "PREEMPTED" | "REVOKED" | "TIMEOUT" => State::Over(name.to_owned()),
         _ => State::Running,
     }
 }
 
 const MISSING: &str = "there is no program";
 
-/// What a command prints.
-fn ask(command: &mut Command) -> Result<String, String> {
+/// The output of a command.
+fn output_of(command: &mut Command) -> Result<String, String> {
     for name in INHERITED {
         command.env_remove(name);
     }
@@ -175,9 +189,10 @@ fn ask(command: &mut Command) -> Result<String, String> {
             Ok(String::from_utf8_lossy(&stdout).into_owned())
         }
         Ok(Output { status, stdout, stderr }) => {
-            let said = [stderr, stdout].map(|text| String::from_utf8_lossy(&text).trim().replace('\n', "; "));
-            let said = said.into_iter().find(|text| !text.is_empty()).unwrap_or_else(|| status.to_string());
-            Err(format!("`{program}`: {said}"))
+            let texts =
+                [stderr, stdout].map(|text| String::from_utf8_lossy(&text).trim().replace('\n', "; "));
+            let text = texts.into_iter().find(|text| !text.is_empty()).unwrap_or_else(|| status.to_string());
+            Err(format!("`{program}`: {text}"))
         }
         Err(error) if error.kind() == ErrorKind::NotFound => Err(format!(
             "{MISSING} `{program}` here: run this where Slurm's commands are, as on a login node"
@@ -191,7 +206,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_slurm_prints_is_understood() {
+    fn the_output_of_slurm_is_parsed() {
         assert_eq!(
             line("12|PENDING|\n"),
             Some(("12".into(), Seen { state: State::Waiting, node: String::new() }))
@@ -207,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn a_job_asks_for_what_its_stage_needs() {
+    fn a_job_requests_what_its_stage_needs() {
         let submission = Submission {
             name: "dril-1".into(),
             script: "/s/job.sh".into(),
@@ -217,9 +232,9 @@ mod tests {
             time: Some(Duration::from_secs(61)),
             signal: Duration::from_secs(60),
             gpus: 2,
-            words: vec!["--partition=p".into()],
+            extra: vec!["--partition=p".into()],
         };
-        let words = words(&submission).join(" ");
+        let arguments = arguments(&submission).join(" ");
         for expected in [
             "--cpus-per-task=3",
             "--mem=1025M",
@@ -228,7 +243,7 @@ mod tests {
             "--gres=gpu:2",
             "--partition=p /s/job.sh",
         ] {
-            assert!(words.contains(expected), "{words}");
+            assert!(arguments.contains(expected), "{arguments}");
         }
     }
 }

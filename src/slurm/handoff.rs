@@ -1,15 +1,17 @@
-//! The files through which engine and node speak. They lie in a folder of the job's own in the store, which every node
-//! sees under the same path; each is written beside its place and renamed, so that nobody reads half of one.
+//! The files through which engine and node communicate. They lie in the job's own folder in the store, which every node
+//! sees under the same path. Each is written to a temporary file and renamed, so that nobody reads an incomplete one.
 //!
 //! ```text
 //! slurm-v1/<key>/handoff.json   what is to be done
-//! slurm-v1/<key>/job.sh         what Slurm starts
-//! slurm-v1/<key>/submitted.json the job's name, and its number once Slurm has given one
-//! slurm-v1/<key>/claim          the number of the job that runs the stage: made by one, refused to any other
+//! slurm-v1/<key>/job.sh         what the scheduler starts
+//! slurm-v1/<key>/submitted.json the job's name, and its ID once the scheduler has returned one
+//! slurm-v1/<key>/claim          the ID of the job that runs the stage; the first job to create it wins
 //! slurm-v1/<key>/progress       how far the stage is
-//! slurm-v1/<key>/ended.json     how it ended, the last one to be written
-//! slurm-v1/ended/<key>          a word to the engine that there is such a file, so that it looks into one folder only
+//! slurm-v1/<key>/ended.json     how it ended; written last
+//! slurm-v1/ended/<key>          a notice that `ended.json` exists, so that the engine polls one folder only
 //! ```
+//!
+//! `queue` has the files of pilots.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -34,7 +36,7 @@ pub(super) struct Handoff {
     pub tool: String,
     /// The stage, with paths in the job's folder.
     pub job: Job,
-    /// Where all goes that the stage prints.
+    /// The file for everything that the stage prints.
     pub log: PathBuf,
     pub threads: usize,
     pub units: Units,
@@ -47,7 +49,7 @@ pub(super) struct Handoff {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Submitted {
     pub name: String,
-    /// `None` until Slurm has given one.
+    /// `None` until the scheduler has returned one.
     pub job: Option<JobId>,
 }
 
@@ -58,8 +60,8 @@ pub(super) struct Ended {
     pub job: JobId,
     pub node: String,
     pub how: How,
-    /// What the stage said that it was made with.
-    pub said: Vec<Message>,
+    /// The versions that the stage reported.
+    pub messages: Vec<Message>,
 }
 
 /// How it ended.
@@ -72,6 +74,8 @@ pub(super) enum How {
     Failed(String),
     OutOfMemory(String),
     TimedOut,
+    /// The pilot that ran it is gone, by this state of its job. An engine writes this.
+    Lost(String),
 }
 
 impl Handoff {
@@ -107,8 +111,8 @@ impl Handoff {
 }
 
 impl Ended {
-    pub fn new(job: JobId, node: String, how: How, said: Vec<Message>) -> Self {
-        Self { version: VERSION, job, node, how, said }
+    pub fn new(job: JobId, node: String, how: How, messages: Vec<Message>) -> Self {
+        Self { version: VERSION, job, node, how, messages }
     }
 }
 
@@ -127,22 +131,26 @@ impl Home {
         self.folder.join(name)
     }
 
-    /// The file that says to the engine that this job has ended.
+    /// The file that notifies the engine of the end of this job.
     pub fn notice(&self) -> Option<PathBuf> {
         Some(notices(self.folder.parent()?).join(self.folder.file_name()?))
     }
 
+    /// Writes a file at once as a whole. It need not survive a power failure: the job does not either.
     pub fn write<T: Serialize>(&self, name: &str, value: &T) -> fsx::Result<()> {
         let path = self.path(name);
-        let bytes = serde_json::to_vec(value).map_err(|error| FsError {
-            action: "write",
-            path: path.clone(),
-            source: error.into(),
-        })?;
-        fsx::write_atomic(&path, &bytes)
+        let new = self.path(&format!(".{name}-{}", std::process::id()));
+        fsx::write(&new, &bytes(&path, value)?)?;
+        fsx::rename(&new, &path)
     }
 
-    /// `None` where there is none, or one that is none of ours.
+    /// As [`Self::write`], and durable: for what a job depends on that goes on when the engine's machine fails.
+    pub fn write_synced<T: Serialize>(&self, name: &str, value: &T) -> fsx::Result<()> {
+        let path = self.path(name);
+        fsx::write_atomic(&path, &bytes(&path, value)?)
+    }
+
+    /// `None` where there is none, or it has another format.
     pub fn read<T: DeserializeOwned>(&self, name: &str) -> fsx::Result<Option<T>> {
         let bytes = fsx::read_if_there(&self.path(name))?;
         Ok(bytes.and_then(|bytes| serde_json::from_slice(&bytes).ok()))
@@ -166,7 +174,12 @@ impl Home {
             .filter(|job| !job.is_empty()))
     }
 
-    /// Makes room for another job: what an earlier one left is gone, but for what it works with.
+    /// Removes the traces of an earlier job before another one is submitted; what the stage works with stays.
+    /// Allows another job to run the stage.
+    pub fn release(&self) -> fsx::Result<()> {
+        fsx::remove_file(&self.path("claim")).map(drop)
+    }
+
     pub fn clear_results(&self) -> fsx::Result<()> {
         for name in ["ended.json", "claim", "progress"] {
             fsx::remove_file(&self.path(name))?;
@@ -181,4 +194,12 @@ impl Home {
 /// The folder of the notices, where `jobs` is the folder of all jobs.
 pub(super) fn notices(jobs: &Path) -> PathBuf {
     jobs.join("ended")
+}
+
+fn bytes<T: Serialize>(path: &Path, value: &T) -> fsx::Result<Vec<u8>> {
+    serde_json::to_vec(value).map_err(|error| FsError {
+        action: "write",
+        path: path.to_owned(),
+        source: error.into(),
+    })
 }

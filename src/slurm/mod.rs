@@ -1,20 +1,27 @@
-//! Runs stages as jobs of a Slurm cluster.
+//! Runs stages as jobs of a cluster.
 //!
-//! The engine stays where it was started, as on a login node. Each stage becomes a job that gets one file, runs
-//! `dril-pipe __node FOLDER`, and answers with one file; the engine publishes what it made. The store lies on a file system
-//! that engine and nodes share. Jobs outlive their engine: the next one finds them and waits for them.
+//! The engine stays where it was started, as on a login node. Each stage becomes a job that reads one file, runs
+//! `dril-pipe __node FOLDER`, and writes one file with the result; the engine publishes the outputs. Small stages can share
+//! long-lived jobs, the pilots, which run `dril-pipe __pilot FOLDER`. The store lies on a file system that engine and nodes
+//! share. Jobs outlive their engine: the next one finds them and waits for them.
 
 mod commands;
+mod ending;
 mod handoff;
 mod node;
+mod pilot;
+mod pilots;
 mod prepare;
+mod queue;
 mod runner;
 mod scheduler;
+mod submit;
 mod threads;
 mod watch;
 
 pub use commands::Slurm;
 pub use node::{NODE, run_on_node};
+pub use pilot::{PILOT, run_pilot};
 pub use runner::SlurmRunner;
 pub use scheduler::{JobId, Scheduler, Seen, State, Submission, SubmitError};
 pub use watch::Pace;

@@ -1,5 +1,6 @@
-//! The node's side of a job: reads what is to be done, runs the stage as the engine would here, and says how it ended.
+//! The node's side of a job: reads what is to be done, runs the stage as the engine would here, and writes how it ended.
 
+use std::io;
 use std::path::Path;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -16,19 +17,22 @@ use crate::fsx;
 /// The argument that makes this program run a job's stage: `dril-pipe __node FOLDER`.
 pub const NODE: &str = "__node";
 
+/// A scheduler that stops a job signals all its processes, and the stage may end before this one is signalled.
+const SIGNALLED: Duration = Duration::from_millis(100);
+
 /// How often a node writes how far its stage is.
 const PROGRESS: Duration = Duration::from_secs(5);
 
-/// Runs the stage of a job. `job` is the scheduler's number of it.
+/// Runs the stage of a job. `job` is the scheduler's ID of it.
 ///
 /// The answer to the engine is a file; the exit code is for the scheduler: 0 unless the stage was stopped from outside and
 /// should run again, or nothing could be written.
 pub fn run_on_node(folder: &Path, job: &str, registry: &Registry) -> ExitCode {
     let home = Home::new(folder.to_owned());
-    match run(&home, job, registry) {
-        Ok(Some(ended)) => match say(&home, &ended) {
+    match Node::new(job, registry).run(&home) {
+        Ok(Some(ended)) => match report(&home, &ended) {
             Ok(()) => ExitCode::SUCCESS,
-            // Nothing can be said but to the scheduler and to the job's output.
+            // Only the scheduler can still be notified.
             Err(_) => ExitCode::FAILURE,
         },
         Ok(None) => ExitCode::SUCCESS,
@@ -37,98 +41,137 @@ pub fn run_on_node(folder: &Path, job: &str, registry: &Registry) -> ExitCode {
 }
 
 /// The scheduler stopped the job: it decides whether the job runs again.
-struct Interrupted;
+pub(super) struct Interrupted;
 
-/// How the stage ended; `None` where another job has it, or had it.
-fn run(home: &Home, job: &str, registry: &Registry) -> Result<Option<Ended>, Interrupted> {
-    let node = rustix::system::uname().nodename().to_string_lossy().into_owned();
-    let ended = |how, said| Ok(Some(Ended::new(job.to_owned(), node.clone(), how, said)));
-    let failed = |error: &dyn std::fmt::Display| ended(How::Failed(error.to_string()), Vec::new());
-    match home.ended() {
-        Ok(None) => {}
-        // It was started again after its end.
-        Ok(Some(_)) => return Ok(None),
-        Err(error) => return failed(&error),
-    }
-    match claim(home, job) {
-        Ok(true) => {}
-        Ok(false) => return Ok(None),
-        Err(error) => return failed(&error),
-    }
-    let handoff = match home.handoff() {
-        Ok(Some(handoff)) => handoff,
-        Ok(None) => {
-            return failed(&format!("`{}` is no job of this version", home.path("handoff.json").display()));
-        }
-        Err(error) => return failed(&error),
-    };
-    if handoff.tool != env!("CARGO_PKG_VERSION") {
-        let (here, there) = (env!("CARGO_PKG_VERSION"), &handoff.tool);
-        return failed(&format!("`dril-pipe` is {here} on this node and {there} where the run was started"));
-    }
-    if let Err(error) = clear(home) {
-        return failed(&error);
-    }
-    let (stop, late) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
-    // Without a handler a signal kills the stage, which then goes on from its last checkpoint.
-    for signal in [SIGTERM, SIGINT, SIGUSR1] {
-        let _ = signal_hook::flag::register(signal, Arc::clone(&stop));
-    }
-    let _ = signal_hook::flag::register(SIGUSR1, Arc::clone(&late));
-    let (result, said) = execute(home, &handoff, registry, &stop);
-    match result {
-        Ok(Exit::Done) => ended(How::Done, said),
-        Ok(Exit::Stopped) if late.load(Ordering::SeqCst) => ended(How::Stopped, said),
-        Ok(Exit::Stopped) => Err(Interrupted),
-        Err(Failure::OutOfMemory(error)) => ended(How::OutOfMemory(error), said),
-        Err(Failure::TimedOut(_)) => ended(How::TimedOut, said),
-        Err(failure) => ended(How::Failed(failure.to_string()), said),
-    }
+/// A job on its node: runs one stage, or one after the other.
+pub(super) struct Node<'a> {
+    job: &'a str,
+    name: String,
+    registry: &'a Registry,
+    runner: io::Result<ChildRunner>,
+    /// The stage must save a checkpoint and stop.
+    stop: Arc<AtomicBool>,
+    /// The reason is the time limit of the job, or the end of the run.
+    late: Arc<AtomicBool>,
 }
 
-fn execute(
-    home: &Home,
-    handoff: &Handoff,
-    registry: &Registry,
-    stop: &AtomicBool,
-) -> (Result<Exit, Failure>, Vec<Message>) {
-    let mut said = Vec::new();
-    let Some(kind) = registry.get(&handoff.job.kind) else {
-        return (Err(Failure::Stage(format!("this program has no kind `{}`", handoff.job.kind))), said);
-    };
-    // This program starts nothing but the stage.
-    exec::claim_all_children();
-    let runner = match ChildRunner::this_program() {
-        Ok(runner) => runner,
-        Err(error) => return (Err(error.into()), said),
-    };
-    if let Err(error) = runner.check(kind.worker()) {
-        return (Err(Failure::Stage(error.to_string())), said);
-    }
-    let launch = Launch {
-        job: &handoff.job,
-        kind: *kind,
-        lock: None,
-        log: &handoff.log,
-        folder: &home.folder,
-        threads: handoff.threads,
-        units: &handoff.units,
-        stop,
-        grace: handoff.grace(),
-        limits: handoff.limits(),
-    };
-    let mut next: Option<Instant> = None;
-    let result = runner.run(&launch, &mut |message| match message {
-        Message::Progress(progress) => {
-            if next.is_none_or(|next| Instant::now() >= next) {
-                next = Some(Instant::now() + PROGRESS);
-                // Nothing depends on it.
-                let _ = home.write("progress", &progress);
-            }
+impl<'a> Node<'a> {
+    pub fn new(job: &'a str, registry: &'a Registry) -> Self {
+        let (stop, late) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
+        // Without a handler a signal kills the stage, which then resumes from its last checkpoint.
+        for signal in [SIGTERM, SIGINT, SIGUSR1] {
+            let _ = signal_hook::flag::register(signal, Arc::clone(&stop));
         }
-        other => said.push(other),
-    });
-    (result, said)
+        let _ = signal_hook::flag::register(SIGUSR1, Arc::clone(&late));
+        // This program starts nothing but stages.
+        exec::claim_all_children();
+        let name = rustix::system::uname().nodename().to_string_lossy().into_owned();
+        Self { job, name, registry, runner: ChildRunner::this_program(), stop, late }
+    }
+
+    /// True once the job was asked to stop.
+    pub fn is_stopping(&self) -> bool {
+        self.stop.load(Ordering::SeqCst)
+    }
+
+    /// As [`Self::is_stopping`], after a moment for the signal to arrive.
+    fn is_about_to_stop(&self) -> bool {
+        let began = Instant::now();
+        while !self.is_stopping() && began.elapsed() < SIGNALLED {
+            std::thread::sleep(SIGNALLED / 10);
+        }
+        self.is_stopping()
+    }
+
+    /// How a stage ended that was stopped; `None` where the scheduler decides whether its job runs again.
+    fn stopped(&self) -> Option<How> {
+        self.late.load(Ordering::SeqCst).then_some(How::Stopped)
+    }
+
+    /// Runs the stage and returns how it ended; `None` where another job runs it, or it has ended before.
+    pub fn run(&self, home: &Home) -> Result<Option<Ended>, Interrupted> {
+        let ended =
+            |how, messages| Ok(Some(Ended::new(self.job.to_owned(), self.name.clone(), how, messages)));
+        let failed = |error: &dyn std::fmt::Display| ended(How::Failed(error.to_string()), Vec::new());
+        match home.ended() {
+            Ok(None) => {}
+            // The job was started again after its end.
+            Ok(Some(_)) => return Ok(None),
+            Err(error) => return failed(&error),
+        }
+        match claim(home, self.job) {
+            Ok(true) => {}
+            Ok(false) => return Ok(None),
+            Err(error) => return failed(&error),
+        }
+        let handoff = match home.handoff() {
+            Ok(Some(handoff)) => handoff,
+            Ok(None) => {
+                let path = home.path("handoff.json");
+                return failed(&format!("`{}` is not a job of this version", path.display()));
+            }
+            Err(error) => return failed(&error),
+        };
+        if handoff.tool != env!("CARGO_PKG_VERSION") {
+            let (here, there) = (env!("CARGO_PKG_VERSION"), &handoff.tool);
+            return failed(&format!(
+                "`dril-pipe` is {here} on this node and {there} where the run was started"
+            ));
+        }
+        if let Err(error) = clear(home) {
+            return failed(&error);
+        }
+        let (result, messages) = self.execute(home, &handoff);
+        match result {
+            Ok(Exit::Done) => ended(How::Done, messages),
+            Ok(Exit::Stopped) => self.stopped().map_or(Err(Interrupted), |how| ended(how, messages)),
+            Err(Failure::Stage(_)) if self.is_about_to_stop() => {
+                self.stopped().map_or(Err(Interrupted), |how| ended(how, messages))
+            }
+            Err(Failure::OutOfMemory(error)) => ended(How::OutOfMemory(error), messages),
+            Err(Failure::TimedOut(_)) => ended(How::TimedOut, messages),
+            Err(failure) => ended(How::Failed(failure.to_string()), messages),
+        }
+    }
+
+    fn execute(&self, home: &Home, handoff: &Handoff) -> (Result<Exit, Failure>, Vec<Message>) {
+        let mut messages = Vec::new();
+        let Some(kind) = self.registry.get(&handoff.job.kind) else {
+            let error = format!("this program has no kind `{}`", handoff.job.kind);
+            return (Err(Failure::Stage(error)), messages);
+        };
+        let runner = match &self.runner {
+            Ok(runner) => runner,
+            Err(error) => return (Err(Failure::Stage(error.to_string())), messages),
+        };
+        if let Err(error) = runner.check(kind.worker()) {
+            return (Err(Failure::Stage(error.to_string())), messages);
+        }
+        let launch = Launch {
+            job: &handoff.job,
+            kind: *kind,
+            lock: None,
+            log: &handoff.log,
+            folder: &home.folder,
+            threads: handoff.threads,
+            units: &handoff.units,
+            stop: &self.stop,
+            grace: handoff.grace(),
+            limits: handoff.limits(),
+        };
+        let mut next: Option<Instant> = None;
+        let result = runner.run(&launch, &mut |message| match message {
+            Message::Progress(progress) => {
+                if next.is_none_or(|next| Instant::now() >= next) {
+                    next = Some(Instant::now() + PROGRESS);
+                    // Nothing depends on it.
+                    let _ = home.write("progress", &progress);
+                }
+            }
+            other => messages.push(other),
+        });
+        (result, messages)
+    }
 }
 
 /// True where this job runs the stage, and no other one does: a submission may have been made twice.
@@ -140,7 +183,7 @@ fn claim(home: &Home, job: &str) -> fsx::Result<bool> {
     Ok(home.claimed_by()?.as_deref() == Some(job))
 }
 
-/// Removes what an earlier start of the job left: none of it may be taken for an output.
+/// Removes what an earlier start of the job left, so that none of it is mistaken for an output.
 fn clear(home: &Home) -> fsx::Result<()> {
     for path in fsx::list(&home.folder)? {
         let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
@@ -154,7 +197,8 @@ fn clear(home: &Home) -> fsx::Result<()> {
     Ok(())
 }
 
-fn say(home: &Home, ended: &Ended) -> fsx::Result<()> {
+/// Writes how a stage ended, and then the notice that the engine looks for.
+pub(super) fn report(home: &Home, ended: &Ended) -> fsx::Result<()> {
     home.write("ended.json", ended)?;
     match home.notice() {
         // Where this fails, the engine finds out when the job is gone.

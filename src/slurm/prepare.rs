@@ -1,4 +1,4 @@
-//! From a stage to a job: its paths, its script, and what it asks of the scheduler.
+//! From a stage to a job: its paths, its script, and the resources that it requests.
 
 use std::path::Path;
 use std::time::Duration;
@@ -6,20 +6,19 @@ use std::time::Duration;
 use dril_stage_api::Job;
 
 use super::handoff::Home;
-use super::node::NODE;
 use super::scheduler::Submission;
 use crate::exec::Launch;
 use crate::settings::JobSettings;
 
-/// How long before the end of its time a job is asked to stop, unless it is set.
+/// How long before the end of its time a job gets the signal to stop, unless it is set.
 pub(super) const SIGNAL: Duration = Duration::from_secs(60);
 
-/// What Slurm starts.
-pub(super) fn script(program: &Path, home: &Home, settings: &JobSettings) -> String {
+/// The script of a job: `program argument folder` after the user's own lines.
+pub(super) fn script(program: &Path, argument: &str, folder: &Path, settings: &JobSettings) -> String {
     let setup = settings.setup.iter().flatten().fold(String::new(), |text, line| text + line + "\n");
-    // Slurm signals the script's process: the program takes its place.
-    let (program, folder) = (quoted(program), quoted(&home.folder));
-    format!("#!/bin/bash\n{setup}exec {program} {NODE} {folder}\n")
+    // Slurm signals the script's process, so the program must replace it.
+    let (program, folder) = (quoted(program), quoted(folder));
+    format!("#!/bin/bash\n{setup}exec {program} {argument} {folder}\n")
 }
 
 /// The name of a stage, without what it is an instance of: `dril` of `dril[policy=beta]`.
@@ -27,37 +26,52 @@ pub(super) fn name_of(stage: &str) -> &str {
     stage.split('[').next().unwrap_or(stage)
 }
 
-/// What is asked of the scheduler for a stage.
-pub(super) fn submission(
-    name: String,
-    home: &Home,
-    launch: &Launch<'_>,
-    settings: &JobSettings,
-) -> Submission {
-    let word =
+/// The resources that a job requests.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Wanted {
+    pub threads: usize,
+    /// In bytes; `None` for the partition's default.
+    pub memory: Option<u64>,
+    /// `None` for the partition's default.
+    pub time: Option<Duration>,
+    pub gpus: usize,
+}
+
+impl Wanted {
+    pub fn of(launch: &Launch<'_>, settings: &JobSettings) -> Self {
+        let signal = settings.signal.unwrap_or(SIGNAL);
+        Self {
+            threads: settings.threads.map_or(launch.threads, usize::from),
+            memory: launch.limits.memory.or(settings.memory),
+            // A stage that has a limit of its own needs that, and time to begin and to save.
+            time: settings.time.or_else(|| launch.limits.timeout.map(|limit| limit + signal + SIGNAL)),
+            gpus: launch.units.get("gpu").map_or(0, Vec::len),
+        }
+    }
+}
+
+/// The job for a folder with a script.
+pub(super) fn submission(name: String, home: &Home, settings: &JobSettings, wanted: &Wanted) -> Submission {
+    let option =
         |option: &str, value: &Option<String>| value.as_ref().map(|value| format!("--{option}={value}"));
-    let mut words: Vec<String> = [
-        word("partition", &settings.partition),
-        word("account", &settings.account),
-        word("qos", &settings.qos),
-    ]
-    .into_iter()
-    .flatten()
-    .collect();
-    words.extend(settings.extra.iter().flatten().cloned());
-    let signal = settings.signal.unwrap_or(SIGNAL);
-    // A stage that has a limit of its own needs that, and time to begin and to save.
-    let time = settings.time.or_else(|| launch.limits.timeout.map(|limit| limit + signal + SIGNAL));
+    let options = [
+        option("partition", &settings.partition),
+        option("account", &settings.account),
+        option("qos", &settings.qos),
+    ];
+    let mut extra: Vec<String> = options.into_iter().flatten().collect();
+    extra.extend(settings.extra.iter().flatten().cloned());
+    let Wanted { threads, memory, time, gpus } = *wanted;
     Submission {
         name,
         script: home.path("job.sh"),
         folder: home.folder.clone(),
-        threads: settings.threads.map_or(launch.threads, usize::from),
-        memory: launch.limits.memory.or(settings.memory),
+        threads,
+        memory,
         time,
-        signal,
-        gpus: launch.units.get("gpu").map_or(0, Vec::len),
-        words,
+        signal: settings.signal.unwrap_or(SIGNAL),
+        gpus,
+        extra,
     }
 }
 

@@ -1,21 +1,21 @@
-//! What the engine asks of a scheduler: to submit a job, which jobs it knows, and to stop some. `commands` asks Slurm
-//! itself; the tests have a simulated cluster.
+//! What the engine needs from a scheduler: to submit jobs, to list them, and to stop some. `commands` calls Slurm, the
+//! tests have a simulated cluster.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// A scheduler's number of a job, as it prints it.
+/// The ID of a job, as the scheduler prints it.
 pub type JobId = String;
 
 /// A job to submit.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Submission {
-    /// A name that no other job has, so that a job whose submission was not acknowledged can be found.
+    /// A name that no other job has, so that a job whose submission got no answer can be found.
     pub name: String,
-    /// The script.
+    /// The script that the job runs.
     pub script: PathBuf,
-    /// The job's folder, which it begins in, and into which its output goes.
+    /// The job's folder: its working directory, and the place of its output.
     pub folder: PathBuf,
     /// Threads that it needs.
     pub threads: usize,
@@ -23,49 +23,52 @@ pub struct Submission {
     pub memory: Option<u64>,
     /// How long it may run; `None` for the partition's default.
     pub time: Option<Duration>,
-    /// How long before the end of `time` it is asked to stop.
+    /// How long before the end of `time` it gets the signal to stop.
     pub signal: Duration,
     /// GPUs that it needs.
     pub gpus: usize,
-    /// `--partition`, `--account` and `--qos`, and further words, each as one argument.
-    pub words: Vec<String>,
+    /// `--partition`, `--account` and `--qos`, and the user's own arguments.
+    pub extra: Vec<String>,
 }
 
 /// Why a job was not submitted.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SubmitError {
-    /// The scheduler cannot take it now: it is busy or does not answer, or there are too many jobs. The job may have been
-    /// taken nevertheless.
+    /// The scheduler cannot accept it now: it is busy or does not answer, or there are too many jobs. It may have accepted
+    /// the job nevertheless.
     #[error("{0}")]
     Busy(String),
-    /// The scheduler will never take it.
+    /// The scheduler will never accept it.
     #[error("{0}")]
     Refused(String),
 }
 
-/// What the scheduler says of a job.
+/// A job in the scheduler's list.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Seen {
-    /// How it stands.
+    /// Its state.
     pub state: State,
     /// The node that it runs on or ran on; empty where there is none.
     pub node: String,
 }
 
-/// How a job stands.
+/// The state of a job.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum State {
-    /// It waits, also for being started again.
+    /// It waits to be started, or started again.
     Waiting,
     /// It runs, or is about to begin or to end.
     Running,
-    /// It is over; the scheduler's word for how, as `COMPLETED` or `NODE_FAIL`.
+    /// It is over; the scheduler's name of the state, as `COMPLETED` or `NODE_FAIL`.
     Over(String),
 }
 
 /// A scheduler. Calls may take seconds.
 pub trait Scheduler: Send + Sync {
-    /// Says whether it can be used at all.
+    /// Its name in messages, as `Slurm`.
+    fn name(&self) -> &str;
+
+    /// Checks that it can be used at all.
     ///
     /// # Errors
     /// What is missing, and how to fix it.
@@ -77,7 +80,7 @@ pub trait Scheduler: Send + Sync {
     /// See [`SubmitError`].
     fn submit(&self, submission: &Submission) -> Result<JobId, SubmitError>;
 
-    /// All jobs of this user that the scheduler knows: those that wait and run, and those that ended lately.
+    /// All jobs of this user in the scheduler's list: those that wait and run, and those that ended lately.
     ///
     /// # Errors
     /// It does not answer.
@@ -95,7 +98,7 @@ pub trait Scheduler: Send + Sync {
     /// It does not answer.
     fn find(&self, name: &str) -> Result<Option<JobId>, String>;
 
-    /// Asks running jobs to save a checkpoint and stop, and cancels those that wait.
+    /// Makes running jobs save a checkpoint and stop, and cancels those that wait.
     ///
     /// # Errors
     /// It does not answer.

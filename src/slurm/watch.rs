@@ -1,9 +1,9 @@
-//! Watches all jobs of a run from one thread: one folder is looked into for those that ended, and the scheduler is asked
-//! about all of them in one question, at most every ten seconds.
+//! Watches all stages of a run from one thread: it polls one folder for those that ended, and lists all jobs with one command
+//! at most every ten seconds.
 //!
-//! A job's end is what its node wrote. The scheduler is asked only whether a job that wrote nothing is still there.
+//! A stage has ended when its node has written so. The scheduler only shows whether the job of a stage that has not is alive.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -11,24 +11,26 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use super::handoff::Home;
+use super::pilots::Pilots;
+use super::queue::Entry;
 use super::scheduler::{JobId, Scheduler, Seen, State};
 use crate::fsx;
 
-/// How the watch goes about it; the tests are quicker.
+/// The intervals of the watch; tests use shorter ones.
 #[derive(Clone, Copy, Debug)]
 pub struct Pace {
-    /// How often the folder of notices is looked into.
+    /// How often the folder of notices is polled.
     pub look: Duration,
-    /// How often the scheduler is asked, at most.
+    /// How often the scheduler lists the jobs, at most.
     pub ask: Duration,
-    /// How long after a job's end its files may need to become visible here.
+    /// How long after a job's end its files may take to become visible here.
     pub settle: Duration,
 }
 
 impl Default for Pace {
     fn default() -> Self {
         Self {
-            look: Duration::from_millis(100),
+            look: Duration::from_millis(20),
             ask: Duration::from_secs(10),
             // A network file system may show a folder as it was half a minute ago.
             settle: Duration::from_secs(60),
@@ -36,19 +38,30 @@ impl Default for Pace {
     }
 }
 
-/// What became of a job.
+/// What happened to a stage.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum News {
-    /// It wrote how it ended.
+    /// Its node wrote how it ended.
     Ended,
-    /// It is over by the scheduler's word, which this is, and wrote nothing; the node where that is known.
+    /// Its job is over, in this state of the scheduler's, and nothing was written; the node where that is known.
     Gone(String, String),
+    /// No pilot took it, and none will: the run is stopped, or pilots fail.
+    Withdrawn,
+}
+
+/// What runs a stage.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Place {
+    /// A job of its own.
+    Job(JobId),
+    /// A pilot, now or later.
+    Pilots(Entry),
 }
 
 enum Order {
-    Watch(JobId, Home, Sender<News>),
-    /// Asks it to stop, and cancels it after that time.
-    Stop(JobId, Duration),
+    Watch(Place, Home, Sender<News>),
+    /// Makes it stop, and cancels it after that time.
+    Stop(PathBuf, Duration),
 }
 
 /// A thread that watches. It ends when this is dropped.
@@ -58,13 +71,20 @@ pub(super) struct Watch {
 }
 
 impl Watch {
-    /// `notices` is the folder in which jobs say that they ended.
-    pub fn start(scheduler: Arc<dyn Scheduler>, notices: PathBuf, pace: Pace) -> std::io::Result<Self> {
+    /// `notices` is the folder in which nodes report the end of stages.
+    pub fn start(
+        scheduler: Arc<dyn Scheduler>,
+        notices: PathBuf,
+        pilots: Option<Arc<Pilots>>,
+        pace: Pace,
+    ) -> std::io::Result<Self> {
         let (orders, receiver) = channel();
+        // Pilots of an earlier engine may be dead by now.
+        let soon = pilots.as_ref().is_some_and(|pilots| !pilots.known().is_empty());
         let mut state =
-            Watching { scheduler, notices, pace, jobs: BTreeMap::new(), asked: None, soon: false };
+            Watching { scheduler, notices, pilots, pace, stages: BTreeMap::new(), asked: None, soon };
         let thread =
-            std::thread::Builder::new().name("slurm".to_owned()).spawn(move || state.run(&receiver))?;
+            std::thread::Builder::new().name("watch".to_owned()).spawn(move || state.run(&receiver))?;
         Ok(Self { orders: Mutex::new(Some(orders)), thread: Some(thread) })
     }
 
@@ -74,16 +94,16 @@ impl Watch {
         }
     }
 
-    /// Begins to watch a job; what becomes of it comes through the channel.
-    pub fn watch(&self, job: JobId, home: Home) -> Receiver<News> {
+    /// Begins to watch a stage; what happens to it comes through the channel.
+    pub fn watch(&self, place: Place, home: Home) -> Receiver<News> {
         let (sender, receiver) = channel();
-        self.order(Order::Watch(job, home, sender));
+        self.order(Order::Watch(place, home, sender));
         receiver
     }
 
-    /// Asks a job to stop, and cancels it where it has not after `grace`.
-    pub fn stop(&self, job: JobId, grace: Duration) {
-        self.order(Order::Stop(job, grace));
+    /// Makes a stage stop, and cancels its job where it has not after `grace`.
+    pub fn stop(&self, home: &Home, grace: Duration) {
+        self.order(Order::Stop(home.folder.clone(), grace));
     }
 }
 
@@ -96,13 +116,14 @@ impl Drop for Watch {
     }
 }
 
-/// A job that is watched.
-struct Job {
+/// A stage that is watched.
+struct Stage {
+    place: Place,
     home: Home,
     news: Sender<News>,
-    /// When the scheduler first said that it is over, its word, and the node.
+    /// When the scheduler first listed its job as over, the state, and the node.
     over: Option<(Instant, String, String)>,
-    /// When it is cancelled.
+    /// When its job is cancelled.
     cancel: Option<Instant>,
     to_stop: bool,
 }
@@ -110,11 +131,13 @@ struct Job {
 struct Watching {
     scheduler: Arc<dyn Scheduler>,
     notices: PathBuf,
+    pilots: Option<Arc<Pilots>>,
     pace: Pace,
-    jobs: BTreeMap<JobId, Job>,
-    /// When the scheduler was asked last.
+    /// By the folder of the job.
+    stages: BTreeMap<PathBuf, Stage>,
+    /// When the scheduler listed the jobs last.
     asked: Option<Instant>,
-    /// It is asked at once: jobs were stopped, and those that waited say nothing of their end.
+    /// It lists them at once: jobs were stopped, and those that waited report no end.
     soon: bool,
 }
 
@@ -130,6 +153,7 @@ impl Watching {
             }
             self.look();
             self.stop();
+            self.withdraw();
             self.ask();
             self.settle();
         }
@@ -137,104 +161,173 @@ impl Watching {
 
     fn obey(&mut self, order: Order) {
         match order {
-            Order::Watch(job, home, news) => {
+            Order::Watch(place, home, news) => {
                 self.asked.get_or_insert_with(Instant::now);
-                self.jobs.insert(job, Job { home, news, over: None, cancel: None, to_stop: false });
+                let folder = home.folder.clone();
+                let stage = Stage { place, home, news, over: None, cancel: None, to_stop: false };
+                self.stages.insert(folder, stage);
             }
-            Order::Stop(job, grace) => {
-                if let Some(job) = self.jobs.get_mut(&job) {
-                    job.to_stop = true;
-                    job.cancel = Some(Instant::now() + grace);
+            Order::Stop(folder, grace) => {
+                if let Some(stage) = self.stages.get_mut(&folder) {
+                    stage.to_stop = true;
+                    stage.cancel = Some(Instant::now() + grace);
                 }
             }
         }
     }
 
-    /// Those that say that they ended.
+    /// Finds those that have ended.
     fn look(&mut self) {
-        let Ok(notices) = fsx::list(&self.notices) else { return };
-        if notices.is_empty() {
-            return;
-        }
-        let said: Vec<&std::ffi::OsStr> = notices.iter().filter_map(|path| path.file_name()).collect();
-        self.jobs.retain(|_, job| {
-            let Some(name) = job.home.folder.file_name() else { return false };
-            if said.binary_search(&name).is_err() || !matches!(job.home.ended(), Ok(Some(_))) {
-                return true;
+        let Some(jobs) = self.notices.parent() else { return };
+        for notice in fsx::list(&self.notices).unwrap_or_default() {
+            let Some(name) = notice.file_name() else { continue };
+            let folder = jobs.join(name);
+            let Some(stage) = self.stages.get(&folder) else { continue };
+            if matches!(stage.home.ended(), Ok(Some(_))) {
+                let _ = stage.news.send(News::Ended);
+                self.stages.remove(&folder);
             }
-            let _ = job.news.send(News::Ended);
-            false
-        });
+        }
     }
 
-    /// Asks those to stop that shall, and cancels those that took too long.
+    /// Stops those that shall stop, and cancels those that took too long.
     fn stop(&mut self) {
-        let stop: Vec<JobId> = ids(&self.jobs, |job| job.to_stop);
-        if !stop.is_empty() && self.scheduler.stop(&stop).is_ok() {
-            self.jobs.values_mut().for_each(|job| job.to_stop = false);
-            self.soon = true;
+        let now = Instant::now();
+        let (mut stop, mut stopped, mut withdrawn) = (BTreeSet::new(), Vec::new(), Vec::new());
+        for (folder, stage) in self.stages.iter().filter(|(_, stage)| stage.to_stop) {
+            if let (Place::Pilots(entry), Some(pilots)) = (&stage.place, &self.pilots)
+                && pilots.withdraw(entry)
+            {
+                withdrawn.push(folder.clone());
+            } else if let Some(job) = self.job(stage) {
+                stop.insert(job);
+                stopped.push(folder.clone());
+            }
         }
-        let late = ids(&self.jobs, |job| job.cancel.is_some_and(|cancel| cancel <= Instant::now()));
-        if !late.is_empty() && self.scheduler.cancel(&late).is_ok() {
-            self.jobs.values_mut().for_each(|job| job.cancel = job.cancel.filter(|at| *at > Instant::now()));
-            self.soon = true;
+        self.send_withdrawn(&withdrawn);
+        let stop: Vec<JobId> = stop.into_iter().collect();
+        if self.scheduler_did(&stop, |scheduler, jobs| scheduler.stop(jobs)) {
+            for folder in stopped {
+                self.stages.entry(folder).and_modify(|stage| stage.to_stop = false);
+            }
+        }
+        let late = self.stages.values().filter(|stage| stage.cancel.is_some_and(|cancel| cancel <= now));
+        let late: BTreeSet<JobId> = late.filter_map(|stage| self.job(stage)).collect();
+        let late: Vec<JobId> = late.into_iter().collect();
+        if self.scheduler_did(&late, |scheduler, jobs| scheduler.cancel(jobs)) {
+            self.stages.values_mut().for_each(|stage| stage.cancel = stage.cancel.filter(|at| *at > now));
         }
     }
 
+    /// True where there was something to do and the scheduler did it.
+    fn scheduler_did(
+        &mut self,
+        jobs: &[JobId],
+        act: impl Fn(&dyn Scheduler, &[JobId]) -> Result<(), String>,
+    ) -> bool {
+        let done = !jobs.is_empty() && act(&*self.scheduler, jobs).is_ok();
+        self.soon |= done;
+        done
+    }
+
+    /// The job that runs a stage now.
+    fn job(&self, stage: &Stage) -> Option<JobId> {
+        match &stage.place {
+            Place::Job(job) => Some(job.clone()),
+            Place::Pilots(entry) => self.pilots.as_ref()?.holder(entry),
+        }
+    }
+
+    fn send_withdrawn(&mut self, folders: &[PathBuf]) {
+        for stage in folders.iter().filter_map(|folder| self.stages.remove(folder)) {
+            let _ = stage.news.send(News::Withdrawn);
+        }
+    }
+
+    /// Takes all stages back from the queue once pilots have failed.
+    fn withdraw(&mut self) {
+        let Some(pilots) = self.pilots.as_ref().filter(|pilots| pilots.have_failed()) else { return };
+        let waits = |stage: &Stage| matches!(&stage.place, Place::Pilots(entry) if pilots.withdraw(entry));
+        let folders = self.stages.iter().filter(|(_, stage)| waits(stage));
+        let folders: Vec<PathBuf> = folders.map(|(folder, _)| folder.clone()).collect();
+        self.send_withdrawn(&folders);
+    }
+
+    /// Lists the jobs, and notes those that are over.
     fn ask(&mut self) {
         let due = self.soon || self.asked.is_some_and(|asked| asked.elapsed() >= self.pace.ask);
-        if self.jobs.is_empty() || !due {
+        if self.stages.is_empty() || !due {
             return;
         }
         self.soon = false;
-        // Where the scheduler does not answer, jobs may go on: their files say what becomes of them.
+        // Pilots first: one that was submitted after the list is not missing in it.
+        let known = self.pilots.as_ref().map(|pilots| pilots.known()).unwrap_or_default();
+        // Where the scheduler does not answer, jobs may still run: their files tell what happens to them.
         let answer = self.scheduler.list();
         self.asked = Some(Instant::now());
         let Ok(all) = answer else { return };
-        for (id, job) in &mut self.jobs {
-            let seen = match all.get(id) {
-                Some(seen) => Some(seen.clone()),
-                None => match self.scheduler.look(id) {
-                    Ok(seen) => seen,
-                    Err(_) => continue,
-                },
-            };
-            let gone = || Seen { state: State::Over("unknown to Slurm".to_owned()), node: String::new() };
-            match seen.unwrap_or_else(gone) {
+        for job in known {
+            if let (Some(seen), Some(pilots)) = (self.seen(&all, &job), &self.pilots) {
+                let settle = settle(&seen, &self.pace);
+                pilots.judge(&job, seen, settle);
+            }
+        }
+        let mut over = Vec::new();
+        for (folder, stage) in &self.stages {
+            let Place::Job(job) = &stage.place else { continue };
+            if let Some(seen) = self.seen(&all, job) {
+                over.push((folder.clone(), seen));
+            }
+        }
+        for (folder, seen) in over {
+            let Some(stage) = self.stages.get_mut(&folder) else { continue };
+            match seen {
                 Seen { state: State::Over(word), node } => {
-                    job.over.get_or_insert_with(|| (Instant::now(), word, node));
+                    stage.over.get_or_insert_with(|| (Instant::now(), word, node));
                 }
                 // It was started again.
-                Seen { .. } => job.over = None,
+                Seen { .. } => stage.over = None,
             }
         }
     }
 
-    /// Those that are over and whose files had the time to become visible.
+    /// The state of a job; `None` where the scheduler does not answer.
+    fn seen(&self, all: &BTreeMap<JobId, Seen>, job: &JobId) -> Option<Seen> {
+        if let Some(seen) = all.get(job) {
+            return Some(seen.clone());
+        }
+        let word = format!("unknown to {}", self.scheduler.name());
+        let gone = || Seen { state: State::Over(word), node: String::new() };
+        self.scheduler.look(job).ok().map(|seen| seen.unwrap_or_else(gone))
+    }
+
+    /// Reports those whose job is over and whose files had the time to become visible.
     fn settle(&mut self) {
-        let settle = self.pace.settle;
-        let ask = self.pace.ask;
-        self.jobs.retain(|_, job| {
-            let Some((since, word, node)) = &job.over else { return true };
-            if matches!(job.home.ended(), Ok(Some(_))) {
-                let _ = job.news.send(News::Ended);
+        let pace = self.pace;
+        self.stages.retain(|_, stage| {
+            let Some((since, word, node)) = &stage.over else { return true };
+            if matches!(stage.home.ended(), Ok(Some(_))) {
+                let _ = stage.news.send(News::Ended);
                 return false;
             }
-            // One that was cancelled has nothing more to say; one that may be started again is looked at once more.
-            let wait = match &**word {
-                "CANCELLED" => Duration::ZERO,
-                "PREEMPTED" | "NODE_FAIL" | "BOOT_FAIL" => settle.max(ask * 2),
-                _ => settle,
-            };
-            if since.elapsed() < wait {
+            let seen = Seen { state: State::Over(word.clone()), node: node.clone() };
+            if since.elapsed() < settle(&seen, &pace) {
                 return true;
             }
-            let _ = job.news.send(News::Gone(word.clone(), node.clone()));
+            let _ = stage.news.send(News::Gone(word.clone(), node.clone()));
             false
         });
     }
 }
 
-fn ids(jobs: &BTreeMap<JobId, Job>, which: impl Fn(&Job) -> bool) -> Vec<JobId> {
-    jobs.iter().filter(|(_, job)| which(job)).map(|(id, _)| id.clone()).collect()
+/// How long to wait for the files of a job that is over.
+fn settle(seen: &Seen, pace: &Pace) -> Duration {
+    let State::Over(word) = &seen.state else { return pace.settle };
+    match &**word {
+        // It was stopped from outside, and writes nothing more.
+        "CANCELLED" => Duration::ZERO,
+        // It may be started again, which the list shows a little later.
+        "PREEMPTED" | "NODE_FAIL" | "BOOT_FAIL" => pace.settle.max(pace.ask * 2),
+        _ => pace.settle,
+    }
 }

@@ -30,6 +30,11 @@ struct Simulated {
     unanswered: AtomicUsize,
     /// So many jobs vanish with their node.
     lost: AtomicUsize,
+    /// So many pilots vanish with the stage that they took, or fail before they begin.
+    lost_pilots: AtomicUsize,
+    failed_pilots: AtomicUsize,
+    /// Pilots that run now.
+    pilots: AtomicUsize,
     nodes: Mutex<Option<Sender<(JobId, PathBuf)>>>,
 }
 
@@ -58,28 +63,71 @@ impl Simulated {
     }
 
     fn work(&self, job: &JobId, folder: &Path) {
-        let is_lost = one_less(&self.lost);
-        if !is_lost {
-            let handoff: Value =
-                serde_json::from_slice(&std::fs::read(folder.join("handoff.json")).unwrap()).unwrap();
-            for output in handoff["job"]["outputs"].as_object().unwrap().values() {
-                std::fs::write(output["path"].as_str().unwrap(), handoff["job"]["stage"].as_str().unwrap())
-                    .unwrap();
-            }
-            let ended = json!({ "version": 1, "job": job, "node": "n1", "how": "done", "said": [] });
-            std::fs::write(folder.join(".ended"), ended.to_string()).unwrap();
-            std::fs::rename(folder.join(".ended"), folder.join("ended.json")).unwrap();
-            let notice = folder.parent().unwrap().join("ended").join(folder.file_name().unwrap());
-            std::fs::write(notice, job).unwrap();
-        }
-        let word = if is_lost { "NODE_FAIL" } else { "COMPLETED" };
+        let word = if folder.join("pilot.json").is_file() {
+            self.pilots.fetch_add(1, Ordering::SeqCst);
+            let word = self.pilot(job, folder);
+            self.pilots.fetch_sub(1, Ordering::SeqCst);
+            word
+        } else if one_less(&self.lost) {
+            "NODE_FAIL"
+        } else {
+            make(job, folder);
+            "COMPLETED"
+        };
         if let Some((_, seen)) = self.jobs.lock().unwrap().get_mut(job) {
             seen.state = State::Over(word.to_owned());
         }
     }
+
+    /// Takes stages until it is asked to end.
+    fn pilot(&self, job: &JobId, folder: &Path) -> &'static str {
+        if one_less(&self.failed_pilots) {
+            return "FAILED";
+        }
+        std::fs::write(folder.join("job"), job).unwrap();
+        let orders: Value =
+            serde_json::from_slice(&std::fs::read(folder.join("pilot.json")).unwrap()).unwrap();
+        let queue = folder.parent().unwrap().join(format!("queue-{}", orders["class"].as_str().unwrap()));
+        while !folder.join("end").exists() {
+            for entry in std::fs::read_dir(&queue).unwrap() {
+                let name = entry.unwrap().file_name().into_string().unwrap();
+                let taken = folder.join("taken").join(&name);
+                if std::fs::rename(queue.join(&name), &taken).is_err() {
+                    continue;
+                }
+                if one_less(&self.lost_pilots) {
+                    return "NODE_FAIL";
+                }
+                let key = name.split_once('-').unwrap().1;
+                make(job, &Path::new(orders["jobs"].as_str().unwrap()).join(key));
+                std::fs::remove_file(taken).unwrap();
+            }
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        std::fs::write(folder.join("ended"), "").unwrap();
+        "COMPLETED"
+    }
+}
+
+/// Writes what a node does: the stage's outputs, which are its name, how it ended, and the notice.
+fn make(job: &JobId, folder: &Path) {
+    let handoff: Value =
+        serde_json::from_slice(&std::fs::read(folder.join("handoff.json")).unwrap()).unwrap();
+    for output in handoff["job"]["outputs"].as_object().unwrap().values() {
+        std::fs::write(output["path"].as_str().unwrap(), handoff["job"]["stage"].as_str().unwrap()).unwrap();
+    }
+    let ended = json!({ "version": 1, "job": job, "node": "n1", "how": "done", "messages": [] });
+    std::fs::write(folder.join(".ended"), ended.to_string()).unwrap();
+    std::fs::rename(folder.join(".ended"), folder.join("ended.json")).unwrap();
+    let notice = folder.parent().unwrap().join("ended").join(folder.file_name().unwrap());
+    std::fs::write(notice, job).unwrap();
 }
 
 impl Scheduler for Simulated {
+    fn name(&self) -> &str {
+        "Slurm"
+    }
+
     fn check(&self) -> Result<(), String> {
         Ok(())
     }
@@ -126,8 +174,12 @@ impl Scheduler for Simulated {
 }
 
 fn run(cluster: &Arc<Simulated>, count: usize) -> (Lab, Ran) {
+    run_with(cluster, count, SlurmSettings::default())
+}
+
+fn run_with(cluster: &Arc<Simulated>, count: usize, settings: SlurmSettings) -> (Lab, Ran) {
     let lab = Lab::new();
-    let settings = SlurmSettings { local: Some(Vec::new()), ..SlurmSettings::default() };
+    let settings = SlurmSettings { local: Some(Vec::new()), ..settings };
     let pace = Pace {
         look: Duration::from_millis(20),
         ask: Duration::from_millis(200),
@@ -175,4 +227,44 @@ fn a_stage_whose_jobs_are_lost_again_and_again_fails() {
     let (_lab, ran) = run(&cluster, 1);
     assert_eq!(ran.counts(), [0, 0, 1, 0, 0]);
     assert!(ran.error().contains("ended on node `n1` without a result (NODE_FAIL)"), "{}", ran.error());
+}
+
+fn two_pilots() -> SlurmSettings {
+    SlurmSettings { pilots: Some(2), ..SlurmSettings::default() }
+}
+
+#[test]
+fn small_stages_run_in_two_pilots_that_end_with_the_run() {
+    let cluster = Simulated::start(4);
+    let (lab, ran) = run_with(&cluster, 60, two_pilots());
+    assert_eq!(ran.counts(), [60, 0, 0, 0, 0], "{}", ran.error());
+    let submissions = cluster.submissions.load(Ordering::SeqCst);
+    assert!((1..=2).contains(&submissions), "{submissions} jobs, expected two pilots");
+    let began = Instant::now();
+    while cluster.pilots.load(Ordering::SeqCst) > 0 {
+        assert!(began.elapsed() < Duration::from_secs(20), "a pilot still runs after the run");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let left = std::fs::read_dir(lab.store.root().join("slurm-v1")).unwrap().count();
+    assert_eq!(left, 1, "only the folder of notices is left");
+}
+
+#[test]
+fn a_stage_whose_pilot_is_lost_has_a_job_of_its_own_and_the_pilot_is_replaced() {
+    let cluster = Simulated::start(4);
+    cluster.lost_pilots.store(2, Ordering::SeqCst);
+    let (_lab, ran) = run_with(&cluster, 20, two_pilots());
+    assert_eq!(ran.counts(), [20, 0, 0, 0, 0], "{}", ran.error());
+    let submissions = cluster.submissions.load(Ordering::SeqCst);
+    assert!((5..=6).contains(&submissions), "{submissions} jobs: two pilots, two stages, new pilots");
+}
+
+#[test]
+fn where_pilots_cannot_begin_every_stage_has_a_job_of_its_own() {
+    let cluster = Simulated::start(4);
+    cluster.failed_pilots.store(usize::MAX, Ordering::SeqCst);
+    let (_lab, ran) = run_with(&cluster, 8, two_pilots());
+    assert_eq!(ran.counts(), [8, 0, 0, 0, 0], "{}", ran.error());
+    let submissions = cluster.submissions.load(Ordering::SeqCst);
+    assert!((9..=10).contains(&submissions), "{submissions} jobs: two pilots and eight stages");
 }

@@ -39,6 +39,9 @@ until_true() { for _ in $(seq 600); do eval "$1" && return; sleep 0.1; done; fai
 running() { [ -n "$(squeue --noheader --me --states=RUNNING)" ]; }
 no_jobs() { [ -z "$(squeue --noheader --me)" ]; }
 begun() { [ ! -e trace ] && echo 0 || grep -c "^begin ${1:-}" trace || true; }
+# Jobs of this test, also those that have ended, whose name begins so.
+jobs() { squeue --noheader --me --states=all --format='%j %Z' | grep -c "^dril-$1.* $PWD/" || true; }
+pilots() { jobs pilot; }
 # Steps of the long stages; each is counted once where nothing was lost and nothing was done twice.
 steps() { grep -c '^step' trace || true; }
 slurm() { "$program" run p.yaml --executor slurm --checkpoint-every 0 "$@"; }
@@ -89,8 +92,8 @@ test_a_cancelled_job_fails_its_stage_and_the_next_run_goes_on() {
     same_as_local
 }
 
-test_a_requeued_job_goes_on_from_its_checkpoint() {
-    place requeue 40
+requeue() {
+    place "$1" 40 "${2:-}"
     start
     until_true '[ "$(begun count)" -ge 2 ]'; sleep 1
     squeue --noheader --me --states=RUNNING --format=%i | while read -r job; do scontrol requeue "$job"; done
@@ -101,8 +104,11 @@ test_a_requeued_job_goes_on_from_its_checkpoint() {
     same_as_local
 }
 
-test_a_new_engine_finds_the_jobs_of_a_killed_one() {
-    place killed 60
+test_a_requeued_job_goes_on_from_its_checkpoint() { requeue requeue; }
+test_a_requeued_pilot_hands_its_stage_to_another() { requeue pilot-requeue "pilots = 2"; }
+
+killed() {
+    place "$1" 60 "${2:-}"
     start
     until_true '[ "$(begun)" -ge 4 ]'
     kill -9 "$engine"; wait "$engine" || true
@@ -112,8 +118,15 @@ test_a_new_engine_finds_the_jobs_of_a_killed_one() {
     same_as_local
 }
 
-test_an_interrupt_leaves_no_jobs_and_loses_no_work() {
-    place interrupt 40
+test_a_new_engine_finds_the_jobs_of_a_killed_one() { killed killed; }
+test_a_new_engine_finds_the_pilots_of_a_killed_one() {
+    killed pilot-killed "pilots = 2"
+    [ "$(pilots)" = 2 ] || fail "$(pilots) pilots, expected the 2 of the killed engine"
+    until_true no_jobs
+}
+
+interrupt() {
+    place "$1" 40 "${2:-}"
     start
     until_true '[ "$(begun count)" -ge 2 ]'; sleep 1.5
     kill -TERM "$engine"
@@ -126,8 +139,11 @@ test_an_interrupt_leaves_no_jobs_and_loses_no_work() {
     same_as_local
 }
 
-test_detached_jobs_go_on_without_an_engine() {
-    place detach 30
+test_an_interrupt_leaves_no_jobs_and_loses_no_work() { interrupt interrupt; }
+test_an_interrupt_leaves_no_pilots_and_loses_no_work() { interrupt pilot-interrupt "pilots = 2"; }
+
+detach() {
+    place "$1" 30 "${2:-}"
     start --detach
     until_true '[ "$(begun)" -ge 4 ]'
     kill -TERM "$engine"; wait "$engine" || true
@@ -137,6 +153,9 @@ test_detached_jobs_go_on_without_an_engine() {
     [ "$(begun)" = 5 ] || fail "$(begun) stages begun, expected 5: none of them twice"
     same_as_local
 }
+
+test_detached_jobs_go_on_without_an_engine() { detach detach; }
+test_detached_pilots_go_on_without_an_engine() { detach pilot-detach $'pilots = 2\npilot_idle = "2s"'; }
 
 test_a_controller_that_is_away_for_a_while_costs_time_only() {
     [ -n "$started" ] || { echo "  skipped: not our own Slurm"; return 0; }
@@ -151,12 +170,41 @@ test_a_controller_that_is_away_for_a_while_costs_time_only() {
     same_as_local
 }
 
-test_a_stage_goes_on_in_job_after_job() {
+limit() {
     # A job of a minute that is asked to stop 50 seconds before its end.
-    place limit 1000 $'time = "1m"\nsignal = "50s"'
+    place "$1" 1000 $'time = "1m"\nsignal = "50s"\n'"${2:-}"
     slurm >run.out 2>&1 || fail "the run"
     [ "$(begun count)" -ge 6 ] || fail "$(begun count) jobs for the two stages, expected three or more for each"
     [ "$(steps)" = 2000 ] || fail "$(steps) steps, expected 2000: none of them twice"
+    same_as_local
+}
+
+test_a_stage_goes_on_in_job_after_job() { limit limit; }
+test_a_stage_goes_on_in_pilot_after_pilot() { limit pilot-limit "pilots = 2"; }
+
+# The processes of a pilot in this test's folder, without its stage.
+pilot_processes() {
+    local line
+    for line in /proc/[0-9]*/cmdline; do
+        tr '\0' ' ' <"$line" 2>/dev/null | grep -q "__pilot $PWD/" && echo "${line//[!0-9]/}" || true
+    done
+}
+test_a_stage_whose_pilot_is_killed_goes_on_in_a_job_of_its_own() {
+    place pilot-dies 60 "pilots = 2"
+    start
+    until_true '[ "$(begun count)" -ge 2 ]'; sleep 1
+    kill -9 "$(pilot_processes | head -n 1)"
+    wait "$engine" || fail "the run"
+    [ "$(begun count)" = 3 ] || fail "$(begun count) long stages begun, expected one of both twice"
+    [ "$(steps)" -le 122 ] || fail "$(steps) steps, expected about 120: what was saved is not done again"
+    same_as_local
+}
+
+test_a_stage_that_needs_more_than_a_pilot_has_a_job_of_its_own() {
+    place pilot-small 3 $'pilots = 1\npilot_idle = "1s"'
+    sed -i 's/{ kind: count,/{ kind: count, memory: 200M,/' p.yaml
+    slurm >run.out 2>&1 || fail "the run"
+    [ "$(pilots)" = 1 ] && [ "$(jobs "[0-9a-f]")" = 2 ] || fail "$(pilots) pilots and $(jobs "[0-9a-f]") jobs"
     same_as_local
 }
 
@@ -166,7 +214,39 @@ test_an_error_names_its_node_and_job() {
     grep -q "on node \`$(hostname -s)\` (Slurm job [0-9]*)" run.out || fail "the error does not name its node"
     printf '[slurm]\nlocal = []\npartition = "nowhere"\n' >dril-pipe.toml
     if slurm >refused.out 2>&1; then fail "a partition that is not there was taken"; fi
-    grep -q "Slurm does not take its job: .*[Ii]nvalid partition" refused.out || fail "the refusal is not told"
+    grep -q "Slurm refuses its job: .*[Ii]nvalid partition" refused.out || fail "the refusal is not reported"
+}
+
+
+# COUNT stages of a few milliseconds.
+small_stages() {
+    mkdir -p "$root/$1" && cd "$root/$1"
+    export DRIL_FAKES_TRACE=$PWD/trace
+    cat >p.yaml <<YAML
+name: small
+axes: { word: [$(seq -s, "$2")] }
+stages:
+  say: { kind: emit, matrix: [word], with: { text: "\${word} " } }
+  gather: { kind: concat, inputs: { parts: say.text } }
+YAML
+    printf '[slurm]\nlocal = ["concat"]\nmemory = "100M"\npilots = 2\n%s\n' "${3:-}" >dril-pipe.toml
+}
+
+# DRIL_STAGES=1000 for the figures of docs/performance.md.
+test_many_small_stages_run_in_two_pilots() {
+    local count=${DRIL_STAGES:-200} began millis
+    small_stages pilots "$count"
+    began=$(date +%s%N)
+    slurm >run.out 2>&1 || fail "the run"
+    millis=$(( ($(date +%s%N) - began) / 1000000 ))
+    [ "$(begun emit)" = "$count" ] || fail "$(begun emit) stages begun, expected $count: none of them twice"
+    [ "$(pilots)" = 2 ] || fail "$(pilots) pilots, expected 2"
+    [ "$(jobs "[0-9a-f]")" = 0 ] || fail "a stage had a job of its own"
+    until_true no_jobs
+    began=$(date +%s%N)
+    env -u DRIL_FAKES_TRACE "$program" run p.yaml --cache local-cache --out local >local.out 2>&1 || fail "the local run"
+    echo "  $count stages: $millis ms in two pilots, $(( ($(date +%s%N) - began) / 1000000 )) ms locally"
+    diff -r --exclude=.dril-pipe.json --exclude=report.html local results/small-default || fail "other bytes than locally"
 }
 
 tests=("$@")
