@@ -32,7 +32,7 @@ pub(super) fn stop_flag() -> Result<Arc<AtomicBool>, Error> {
             .and_then(|_| flag::register(signal, Arc::clone(&stop)))
             .map_err(failed)?;
     }
-    // Under `nohup` the run goes on.
+    // Under `nohup` the run continues.
     if !hangup_is_ignored() {
         flag::register(SIGHUP, Arc::clone(&stop)).map_err(failed)?;
     }

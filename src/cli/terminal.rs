@@ -197,7 +197,7 @@ mod tests {
 
     #[test]
     fn times_have_the_two_largest_units() {
-        let told = |seconds: f64| duration(Duration::from_secs_f64(seconds));
+        let text = |seconds: f64| duration(Duration::from_secs_f64(seconds));
         let cases = [
             (0.0, "0.00 s"),
             (0.0312, "0.03 s"),
@@ -210,18 +210,18 @@ mod tests {
             (187_200.0, "2 d 4 h"),
         ];
         for (seconds, expected) in cases {
-            assert_eq!(told(seconds), expected, "{seconds}");
+            assert_eq!(text(seconds), expected, "{seconds}");
         }
     }
 
     #[test]
     fn an_estimate_is_rounded() {
-        let told = |seconds| estimate(Duration::from_millis(seconds));
+        let text = |seconds| estimate(Duration::from_millis(seconds));
         assert_eq!(
-            [told(300), told(99_900), told(100_000), told(3_570_000)],
+            [text(300), text(99_900), text(100_000), text(3_570_000)],
             ["1 s", "99 s", "2 min", "60 min"]
         );
-        assert_eq!(told(11_520_000), "3 h 12 min");
+        assert_eq!(text(11_520_000), "3 h 12 min");
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Entry points for fuzzing: every format that this program reads and that somebody else may have written, as a function of
+//! Entry points for fuzzing: every format that this program reads and that others may have written, as a function of
 //! bytes. The fuzzers in `fuzz/` and a test call them. A function returns for valid and invalid bytes alike; its assertions hold
 //! for all bytes.
 #![doc(hidden)]
@@ -33,11 +33,11 @@ pub const READERS: [(&str, Reader); 9] = [
 /// A pipeline file: read, resolved, and every mistake shown.
 pub fn pipeline(bytes: &[u8], registry: &Registry) {
     let name = SourceName("fuzzed.yaml".to_owned());
-    let told = match spec::parse_bytes(bytes, &name) {
+    let parsed = match spec::parse_bytes(bytes, &name) {
         Ok(spec) => resolve::resolve(&spec, &Choices::default(), registry).map(drop),
         Err(diagnostics) => Err(diagnostics),
     };
-    if let Err(diagnostics) = told {
+    if let Err(diagnostics) = parsed {
         let text = diagnostics.to_string();
         assert!(text.contains("error:"), "a mistake has a text");
     }

@@ -245,7 +245,7 @@ impl<'a, 's> Dispatcher<'a, 's> {
             return Ok(());
         };
         self.elsewhere.remove(stage);
-        // While we hold the lock nobody else builds it, but somebody may have since the plan was made.
+        // While we hold the lock no other process builds it, but one may have since the plan was made.
         if let Cached::Yes(outputs) = self.look_up(stage, &key)? {
             lock.remove()?;
             return self.found(stage, key, outputs);

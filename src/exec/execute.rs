@@ -16,7 +16,7 @@ use super::workers::Workers;
 use crate::plan::{Plan, Verdict};
 use crate::store::Store;
 
-/// Executes the stages that the plan says, and those that turn out to be stale after them. Stops cleanly soon after `stop`
+/// Executes the stages of the plan, and those that turn out to be stale after them. Stops cleanly soon after `stop`
 /// becomes true.
 ///
 /// # Errors
@@ -52,7 +52,7 @@ pub fn execute(
         let (sender, receiver) = mpsc::sync_channel(256);
         let workers = Workers::new(scope, move |task: Task<'_>| task.work(context, &sender));
         let result = dispatcher.run(steps, &receiver, stop, &mut |task| workers.start(task));
-        // If the dispatcher gave up, running stages must not go on: nobody listens to them any more.
+        // If the dispatcher gave up, running stages must stop: nothing listens to them any more.
         halt.store(true, Ordering::Relaxed);
         result
     })?;

@@ -72,7 +72,7 @@ fn place(input: &Placed, store: &Store) -> Result<Vec<PrivateCopy>, StoreError> 
 }
 
 impl LaidOut {
-    /// Fails if the program changed an input: its outputs would then not follow from what the pipeline says.
+    /// Fails if the program changed an input: its outputs would then not follow from the pipeline file.
     pub fn check(&self) -> Result<(), Failure> {
         let mut changed = Vec::new();
         for (port, root, copies) in &self.copies {

@@ -44,7 +44,7 @@ impl<L: Write> Listener<L> {
         if self.line.is_empty() { Ok(()) } else { self.end_line(on_message) }
     }
 
-    /// Why the log is incomplete, most likely because the disk is full. The stage goes on: its log is not a result.
+    /// Why the log is incomplete, most likely because the disk is full. The stage continues: its log is not a result.
     pub fn lost(&self) -> Option<&io::Error> {
         self.lost.as_ref()
     }

@@ -20,7 +20,7 @@ use super::processes::{Process, given_children};
 /// How long to wait for killed processes to end: one that hangs in the kernel does not die.
 const KILL_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// How often ended orphans are reaped while their stage goes on.
+/// How often ended orphans are reaped while their stage runs.
 const REAP_INTERVAL: Duration = Duration::from_millis(200);
 
 static CLAIMED: AtomicBool = AtomicBool::new(false);
@@ -61,7 +61,7 @@ impl Followed {
         Self { pid }
     }
 
-    /// Reaps orphans that have ended while the stage goes on, so that zombies do not pile up. Cheap enough to call often.
+    /// Reaps orphans that have ended while the stage runs, so that zombies do not pile up. Cheap enough to call often.
     pub fn reap(&self) {
         let mut running = lock();
         if running.swept.is_some_and(|swept| swept.elapsed() < REAP_INTERVAL) {

@@ -1,4 +1,4 @@
-//! One stage from its job to its record: what a worker thread does while the dispatcher goes on.
+//! One stage from its job to its record: what a worker thread does while the dispatcher continues.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;

@@ -57,9 +57,9 @@ mod tests {
         let (sender, receiver) = channel::<(ThreadId, Sender<()>)>();
         let mut threads = HashSet::new();
         thread::scope(|scope| {
-            let workers = Workers::new(scope, |told: Sender<(ThreadId, Sender<()>)>| {
+            let workers = Workers::new(scope, |started: Sender<(ThreadId, Sender<()>)>| {
                 let (go, wait) = channel();
-                told.send((thread::current().id(), go)).unwrap();
+                started.send((thread::current().id(), go)).unwrap();
                 wait.recv().unwrap();
             });
             for _ in 0..50 {

@@ -131,7 +131,7 @@ impl Explainer<'_> {
     ) -> Result<Explanation, StoreError> {
         let node = &self.graph.stages[stage];
         // A lost or damaged record is a reason that no comparison shows.
-        let told = match self.verdicts[stage.index()] {
+        let reasons = match self.verdicts[stage.index()] {
             Some(Verdict::Run { why, .. }) => why
                 .iter()
                 .filter(|why| matches!(why, Reason::Lost { .. } | Reason::Damaged { .. }))
@@ -140,7 +140,7 @@ impl Explainer<'_> {
             _ => Vec::new(),
         };
         let reasons = match &against {
-            _ if !told.is_empty() => told,
+            _ if !reasons.is_empty() => reasons,
             Some((_, then)) => differences(self.graph, node, then, &self.done, self.files),
             None => vec![Reason::New],
         };

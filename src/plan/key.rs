@@ -54,7 +54,7 @@ pub struct KeyInput<'a> {
     pub items: Vec<(Digest, &'a Labels)>,
 }
 
-/// The digest that stands in a key for an executable file with this content, where the stage can execute it.
+/// The digest that represents, in a key, an executable file with this content, where the stage can execute it.
 pub fn executable(content: &Digest) -> Digest {
     Digest::new(blake3::derive_key(EXECUTABLE, content.as_bytes()))
 }
@@ -92,7 +92,7 @@ impl KeyInputs<'_> {
     }
 }
 
-/// The digest that stands in a key for a file.
+/// The digest that represents a file in a key.
 pub fn named(content: &Digest, is_executable: bool) -> Digest {
     if is_executable { executable(content) } else { *content }
 }

@@ -35,7 +35,7 @@ pub struct OutsideFile {
     pub executable: bool,
 }
 
-/// What the pipeline file says about a file from outside.
+/// What the pipeline file states about a file from outside.
 #[derive(Clone, Copy)]
 struct Wanted<'g> {
     path: &'g str,
@@ -59,7 +59,7 @@ enum Found {
 /// The digests of all files from outside of a graph, by their paths in the pipeline file.
 ///
 /// # Errors
-/// All files that cannot be read or are not what the pipeline file says.
+/// All files that cannot be read or do not match the pipeline file.
 pub(super) fn outside_files(
     graph: &Graph,
     base: &Path,
@@ -249,7 +249,7 @@ fn outside_file(path: PathBuf, found: Found, digests: &Contents) -> OutsideFile 
     }
 }
 
-/// A file is not what the pipeline file says.
+/// A file does not match the pipeline file.
 fn differs(wanted: &Wanted<'_>, found: &OutsideFile) -> Option<MissingFile> {
     let expected = wanted.blake3.filter(|expected| **expected != found.digest.hex())?;
     let why = format!("its content is {}, expected {expected}", found.digest);

@@ -109,7 +109,7 @@ impl Link {
     }
 }
 
-/// Stands where a server should be.
+/// Replaces a server.
 struct Gone;
 
 impl Wire for Gone {
@@ -148,7 +148,7 @@ impl Drop for Permit<'_> {
     }
 }
 
-/// Does `work` on all items with so many threads. Ends early once `stop` says so.
+/// Does `work` on all items with so many threads. Ends early once `stop` returns true.
 pub(super) fn in_parallel<T: Sync>(items: &[T], threads: usize, stop: &AtomicBool, work: impl Fn(&T) + Sync) {
     let next = std::sync::atomic::AtomicUsize::new(0);
     let one_after_the_other = || {

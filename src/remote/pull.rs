@@ -42,7 +42,7 @@ pub struct Pulled {
     _run: Option<Run>,
 }
 
-/// A pull that goes on.
+/// A pull in progress.
 pub(super) struct Pull<'a> {
     remote: &'a Remote,
     store: &'a Store,
@@ -244,7 +244,7 @@ impl<'a> Pull<'a> {
     }
 }
 
-/// A file here that cannot be written says nothing about the server.
+/// A file here that cannot be written is no fault of the server.
 fn here(error: fsx::FsError) -> WireError {
     WireError::new(Fault::Object, error.to_string())
 }

@@ -72,7 +72,7 @@ pub(super) fn difference(key: Key, stage: &str, here: &Outputs, there: &Outputs)
     Some(Difference { key, stage: stage.to_owned(), output: output.clone(), here, there })
 }
 
-/// A push that goes on.
+/// A push in progress.
 pub(super) struct Push<'a> {
     remote: &'a Remote,
     store: &'a Store,
@@ -152,7 +152,7 @@ impl<'a> Push<'a> {
             if self.remote.link.ask(|wire| wire.create(&record_name(key), object.clone()))? {
                 return Ok(Given::New);
             }
-            // Somebody was faster, or the answer to an earlier try was lost. Where there is no record, two writers met,
+            // Another writer was faster, or the answer to an earlier try was lost. Where there is no record, two writers met,
             // and S3 refused both.
             if let Some(there) = self.there(key)? {
                 let different = difference(*key, &record.stage, &record.outputs, &there.outputs);

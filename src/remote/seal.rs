@@ -1,4 +1,4 @@
-//! Signatures of records: with a secret that a team shares, only records that somebody with the secret wrote are taken.
+//! Signatures of records: with a secret that a team shares, only records written with the secret are accepted.
 //!
 //! An object is the record in JSON, which has no line break, and where it is signed a second line
 //! `dril-signature-1 <hex>`: the keyed blake3 hash of the stage key and the record.

@@ -1,4 +1,4 @@
-//! Shared caches on real servers: S3 and what speaks its protocol, folders, and plain HTTP for reading. The only file
+//! Shared caches on real servers: S3 and servers with its protocol, folders, and plain HTTP for reading. The only file
 //! that names `object_store` and its asynchronous runtime; threads wait here for one request each.
 
 use std::collections::BTreeMap;
@@ -100,7 +100,7 @@ fn s3(bucket: &str, variables: &BTreeMap<String, String>) -> Result<object_store
         {
             builder = builder.with_config(key, value);
         }
-        // Whoever names such an endpoint wants it; AWS itself is never reached without TLS.
+        // Naming such an endpoint is a choice; AWS itself is never reached without TLS.
         if name.starts_with("AWS_ENDPOINT") && value.starts_with("http://") {
             options = options.with_allow_http(true);
         }

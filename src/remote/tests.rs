@@ -76,7 +76,7 @@ impl Machine {
         remote.pull(&self.store, keys, &AtomicBool::new(false), &|| {}).unwrap()
     }
 
-    /// Every content and record is what it says.
+    /// Every content and record matches its name.
     fn is_sound(&self) -> bool {
         self.store.verify(key_of, false).unwrap().damage.is_empty()
     }

@@ -65,7 +65,7 @@ pub enum Fault {
     Transient,
     /// It will fail again: no permission, an unknown bucket, a request that the server does not support.
     Permanent,
-    /// The fault lies with one file or object here or there: it says nothing about the server.
+    /// The fault is in one file or object, here or there; the server may be fine.
     Object,
 }
 

@@ -1,4 +1,4 @@
-//! Stands in for `servers` where the program is built without the feature `remote`: there is no cache to connect to.
+//! Replaces `servers` where the program is built without the feature `remote`: there is no cache to connect to.
 
 use super::{Address, RemoteError, Wire};
 

@@ -277,12 +277,12 @@ fn is_plain(bare: &str) -> bool {
 /// Where a comment begins: at a `#` that opens the text or follows a blank, outside of quotes.
 fn comment(text: &str) -> Option<usize> {
     let mut quote = None;
-    // What stands before a quote that opens a text.
+    // What can precede a quote that opens a text.
     let mut last = ',';
     let mut before = ' ';
     for (at, c) in text.char_indices() {
         match quote {
-            // `\"` goes on; so does the second of two `'`, which opens the text again at once.
+            // `\"` continues the text; so does the second of two `'`, which opens the text again at once.
             Some(open) if c == open && !(c == '"' && before == '\\') => {
                 quote = None;
             }

@@ -16,7 +16,7 @@ use crate::spec::source::Span;
 pub(super) struct Item {
     /// Its name in a named fan-in.
     pub name: Option<Arc<str>>,
-    /// Where it stands.
+    /// Its place.
     pub node: Node,
     pub what: What,
 }

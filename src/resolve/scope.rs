@@ -156,7 +156,7 @@ impl<'p> Filler<'p> {
         self.fill_at(node, scope, 0)
     }
 
-    /// The value of a path that stands at `at`; `None` where there is none, which is reported.
+    /// The value of a path that is written at `at`; `None` where there is none, which is reported.
     pub fn value(&mut self, path: &Path<'_>, at: Span, scope: &Scope<'_>) -> Option<Node> {
         self.here = 0;
         self.get(path, at, scope, 0)
@@ -202,7 +202,7 @@ impl<'p> Filler<'p> {
         }
     }
 
-    /// `text`, which stands at `node`, with the value of each `${path}`; a `$` of another form is left as it is.
+    /// `text`, which is written at `node`, with the value of each `${path}`; a `$` of another form is left as it is.
     pub fn braces(&mut self, text: &str, node: &Node, scope: &Scope<'_>) -> Option<String> {
         match template::parse(text, Lone::Keep) {
             Ok(Template::Mixed(pieces)) => self.join(&pieces, text, node, scope),
@@ -294,7 +294,7 @@ impl<'p> Filler<'p> {
         match shown.find(text) {
             Some(skip) if skip <= 1 => node.span.part(skip + range.start..skip + range.end),
             _ => {
-                // In a block the lines are indented, and escapes may stand in quotes: the part is found by its own text.
+                // In a block the lines are indented, and quoted text may contain escapes: the part is found by its own text.
                 let part = &text[range.clone()];
                 let before = text[..range.start].matches(part).count();
                 let found = shown.match_indices(part).nth(before).filter(|_| part.len() > 1);

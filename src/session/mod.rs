@@ -171,7 +171,7 @@ impl<'r> Session<'r> {
     }
 
     fn fingerprint(&self) -> Option<RunFingerprint> {
-        // Without `..`: whoever adds a setting decides here whether it can make a difference.
+        // Without `..`: who adds a setting must decide here whether it can make a difference.
         let Self { registry: _, source, store: _, selection, out, lock, options: _ } = self;
         RunFingerprint::of(source, selection, *lock, out.as_deref())
     }

@@ -26,7 +26,7 @@ pub struct Loaded<'s> {
     fingerprint: Option<RunFingerprint>,
 }
 
-/// A plan whose preconditions hold: nothing stands in the way of executing it.
+/// A plan whose preconditions hold: nothing prevents its execution.
 pub struct Prepared<'l> {
     loaded: &'l Loaded<'l>,
     plan: Plan<'l>,

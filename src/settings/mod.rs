@@ -1,4 +1,4 @@
-//! Settings of a place rather than of a pipeline: which shared cache to use, and how jobs reach a cluster. They stand in
+//! Settings of a place rather than of a pipeline: which shared cache to use, and how jobs reach a cluster. They are in
 //! `dril-pipe.toml` beside the pipeline file and in the user's configuration folder. No setting enters a key, so none of
 //! them changes a result.
 

@@ -268,7 +268,7 @@ fn merged_profiles(
             }
             let layer = layer::overrides(node, known, &format!("profile `{}`", name.text), problems);
             match profiles.iter_mut().find(|profile| profile.name.text == name.text) {
-                // What is included lies below.
+                // Included files have lower priority.
                 Some(profile) => profile.layers.insert(0, layer),
                 None => profiles.push(Profile { name, layers: vec![layer] }),
             }

@@ -48,7 +48,7 @@ impl<'r, 'l> Reader<'r, 'l> {
         let main = self.name.0.clone();
         let fine = self.file(bytes, &own, |text| Source::file(&main, text));
         if fine.is_none() || self.broken {
-            // Without its tree there is nothing to go on with.
+            // Without its tree there is nothing to continue with.
             return Err(self.problems.into_diagnostics(&Sources::of(&self.sources)));
         }
         Ok(decode::spec(self.files, self.name.clone(), self.sources, self.problems))

@@ -11,7 +11,7 @@ use super::suggest;
 
 const PARTS: [&str; 4] = ["seed", "params", "axes", "defaults"];
 
-/// What there is to override, with where it stands.
+/// What there is to override, with its place.
 pub(crate) struct Known<'a> {
     params: HashMap<&'a str, Span>,
     axes: HashMap<&'a str, Span>,
@@ -35,7 +35,7 @@ impl<'a> Known<'a> {
     }
 }
 
-/// Reads overrides; `what` names where they stand.
+/// Reads overrides; `what` names where they are written.
 pub(crate) fn overrides(node: Node, known: &Known<'_>, what: &str, problems: &mut ProblemList) -> Layer {
     let mut layer = Layer::default();
     let mut stages = Vec::new();

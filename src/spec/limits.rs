@@ -201,8 +201,8 @@ mod tests {
 
     #[test]
     fn times_are_read_with_their_unit() {
-        let told = |text| parse_time(text).unwrap().as_secs();
-        let times = [told("90"), told("90s"), told("1h30m"), told("30d"), told("1.5h")];
+        let seconds = |text| parse_time(text).unwrap().as_secs();
+        let times = [seconds("90"), seconds("90s"), seconds("1h30m"), seconds("30d"), seconds("1.5h")];
         assert_eq!(times, [90, 90, 5400, 2_592_000, 5400]);
         for wrong in ["", "h", "2w", "-1s", "1e9d", "1h x"] {
             assert!(parse_time(wrong).is_err(), "{wrong}");

@@ -85,13 +85,13 @@ impl Reader<'_> {
         *slot = Some(placed(key.clone(), node));
         if twice {
             self.problems.add(|| {
-                Problem::new(key.span, format!("`{}` stands in this matrix twice", key.text))
+                Problem::new(key.span, format!("`{}` is in this matrix twice", key.text))
                     .hint("put all of its maps into one list")
             });
         }
     }
 
-    /// The axes; one that stands there twice is reported.
+    /// The axes; one that is listed twice is reported.
     fn distinct(&mut self) -> Vec<MatrixAxis> {
         let mut seen: Vec<MatrixAxis> = Vec::new();
         for axis in std::mem::take(&mut self.axes) {
@@ -99,7 +99,7 @@ impl Reader<'_> {
                 Some(earlier) => self.problems.add(|| {
                     Problem::new(
                         axis.name.span,
-                        format!("the axis `{}` stands in this matrix twice", axis.name.text),
+                        format!("the axis `{}` is in this matrix twice", axis.name.text),
                     )
                     .related(earlier.name.span, "first")
                     .hint("remove one of the two")

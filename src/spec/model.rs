@@ -23,7 +23,7 @@ pub struct Spec {
     /// Every param and axis by name, with its first value.
     pub(crate) base: Layer,
     /// Seed, params, axes and defaults of each file, those of an included file before those of the file that includes it.
-    /// The stages' own `with` stand in `stages`.
+    /// The stages' own `with` are in `stages`.
     pub(crate) files: Vec<Layer>,
     pub(crate) stages: Vec<Stage>,
     pub(crate) profiles: Vec<Profile>,

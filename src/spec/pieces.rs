@@ -83,7 +83,7 @@ impl Cut {
                 None if is_stages(line) => head = Some(next),
                 None => {}
                 Some(_) if tail.is_some() => {}
-                // Anything but a key could belong to what stands before it.
+                // Anything but a key could belong to what comes before it.
                 Some(_) if indent == 0 && !is_key => return None,
                 Some(_) if indent == 0 => tail = Some(begin),
                 Some(_) => {

@@ -211,7 +211,7 @@ fn written(schema: &Value, kind: &Kind, whole: bool) -> Value {
 fn or_reference(schema: &Value, kind: &Kind) -> Value {
     let mut value = written(schema, kind, true);
     let mut either = json!({ "anyOf": [reference()] });
-    // Editors show what stands beside the alternatives.
+    // Editors show what is beside the alternatives.
     for word in ["description", "default"] {
         if let Some(text) = value.as_object_mut().and_then(|fields| fields.remove(word)) {
             either[word] = text;

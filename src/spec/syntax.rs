@@ -6,7 +6,7 @@ use super::problem::Problem;
 use super::source::Span;
 
 const QUOTE: &str = "a text with `[`, `]`, `{`, `}`, `,`, `#` or `: ` in it is written in quotes, as in `scores: \"evaluate[mode=stochastic]\"`";
-const INDENT: &str = "keys of one map stand in the same column; what belongs to a key stands further right";
+const INDENT: &str = "keys of one map start in the same column; what belongs to a key is indented further";
 const SPACES: &str = "YAML is indented with spaces; set the editor to insert spaces for tabs";
 
 /// The byte to show for an error that was noticed at `at`: a tab itself, not what follows it.
@@ -54,10 +54,10 @@ fn words(kind: &ErrorKind) -> (Option<String>, &'static [&'static str]) {
             return (Some(format!("this is not valid YAML here: {}", detail(kind))), &[INDENT, QUOTE]);
         }
         E::ExpectedFlowMappingSeparator | E::UnexpectedEofFlowMapping => {
-            ("expected `,` or `}` here: a map in braces goes on", &[QUOTE])
+            ("expected `,` or `}` here: this map in braces is not closed", &[QUOTE])
         }
         E::ExpectedFlowSequenceSeparator | E::UnexpectedEofFlowSequence => {
-            ("expected `,` or `]` here: a list in brackets goes on", &[QUOTE])
+            ("expected `,` or `]` here: this list in brackets is not closed", &[QUOTE])
         }
         E::UnclosedFlowCollection { open } => {
             return (Some(format!("a `{open}` is never closed")), &["add the closing bracket", QUOTE]);
@@ -67,13 +67,13 @@ fn words(kind: &ErrorKind) -> (Option<String>, &'static [&'static str]) {
             return (Some(format!("found `{close}`, expected the bracket that closes `{open}`")), &[QUOTE]);
         }
         E::UnclosedQuotedScalar | E::InvalidQuotedScalarIndent | E::DocumentIndicatorInQuotedScalar => {
-            ("a quote is never closed, or a text in quotes goes on here", &["add the closing quote"])
+            ("a quote is never closed, or a quoted text continues here", &["add the closing quote"])
         }
         E::UnknownAnchor => (
             "found a YAML alias `*name` without an anchor `&name` before it",
             &[
                 "a text that begins with `*` is written in quotes",
-                "shared values stand under `params`, used as `$name`",
+                "shared values belong under `params`, used as `$name`",
             ],
         ),
         E::UnexpectedCharacter { .. } => (

@@ -17,7 +17,7 @@ use super::syntax;
 const MAX_COPIES: usize = 100_000;
 
 /// Reads the one document of `text`, which is source number `source` from byte `offset` on. `None` where there is no
-/// tree to go on with, or no document; problems say which.
+/// tree to continue with, or no document; problems say which.
 pub(crate) fn read(text: &str, source: u16, offset: usize, problems: &mut ProblemList) -> Option<Node> {
     let mut loader = Loader::new(source, offset, problems);
     loader.load(text)?;
@@ -63,7 +63,7 @@ impl<'p> Loader<'p> {
         Self { source, offset, problems, stack, anchors, copies: 0, documents: 0, root: None }
     }
 
-    /// Reads the text; `None` where reading cannot go on.
+    /// Reads the text; `None` where reading cannot continue.
     fn load(&mut self, text: &str) -> Option<()> {
         let options = granit_parser::options! {
             emit_comments: false,
@@ -92,7 +92,7 @@ impl<'p> Loader<'p> {
         Span::new(self.source, self.offset + range.start..self.offset + range.end)
     }
 
-    /// Takes one event; `None` where reading cannot go on.
+    /// Takes one event; `None` where reading cannot continue.
     fn event(&mut self, event: Event<'_>, at: granit_parser::Span) -> Option<()> {
         let span = self.span(at);
         match event {
@@ -247,7 +247,7 @@ impl<'p> Loader<'p> {
         self.attach(node, 0)
     }
 
-    /// Hands a finished value to what it stands in.
+    /// Hands a finished value to the collection that contains it.
     fn attach(&mut self, node: Node, anchor: usize) -> Option<()> {
         if anchor != 0 {
             self.anchors.insert(anchor, node.clone());
@@ -278,7 +278,7 @@ fn usable_key(node: Node, problems: &mut ProblemList) -> Key {
     }
     problems.add(|| match node.value {
         Value::Text(_) => Problem::new(node.span, "found the YAML merge key `<<`, expected a name")
-            .hint("fields that stages share stand under `defaults`, or in a map under `params` used as `with: $name`"),
+            .hint("fields that stages share belong under `defaults`, or in a map under `params` used as `with: $name`"),
         _ => Problem::new(node.span, format!("found {} as a key, expected a name", node.describe()))
             .hint("a text with `{`, `[` or `*` in front is written in quotes"),
     });

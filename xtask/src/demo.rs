@@ -22,7 +22,7 @@ pub fn run(root: &Path, extra: &[String]) -> Result<(), Error> {
     show(&root.join(results_folder(extra)))
 }
 
-/// Where the run put its tables: the default of this pipeline and profile, or what `--out` says.
+/// Where the run put its tables: the default of this pipeline and profile, or the folder of `--out`.
 fn results_folder(extra: &[String]) -> PathBuf {
     let mut args = extra.iter();
     let named = args.find_map(|arg| match arg.strip_prefix("--out") {
@@ -43,7 +43,7 @@ fn show(results: &Path) -> Result<(), Error> {
     let table = results.join("table22.md");
     let text = fs::read_to_string(&table).map_err(Error::io("read", &table))?;
     println!("\n{}\nAll tables and figures: {}", text.trim_end(), results.display());
-    println!("A lap of an agent that was trained before: {}", results.join("laps.gif").display());
+    println!("A lap of the kept expert: {}", results.join("laps.gif").display());
     println!("The report, with both: {}", results.join("report.html").display());
     Ok(())
 }

@@ -4,7 +4,7 @@ use std::fmt;
 use std::io;
 use std::path::PathBuf;
 
-/// A command's failure. `Display` says what was seen; [`Error::hints`] says what to do.
+/// A command's failure. `Display` states what was seen; [`Error::hints`] what to do.
 #[derive(Debug)]
 pub enum Error {
     /// A command or argument that does not exist.

@@ -97,7 +97,7 @@ fn fetch(partial: &Path) -> Result<(), Error> {
     pip.env("TMPDIR", partial.join("tmp"));
     process::run(&mut pip).map_err(|error| match error {
         Error::Failed { .. } => Error::Libtorch {
-            problem: "pip could not fetch the wheels; its own message stands above".to_owned(),
+            problem: "pip could not fetch the wheels; its own message is above".to_owned(),
             remedy: "pip's settings (index, proxy, certificates) decide where it looks; without a network, put the \
                      path of a libtorch 2.13.0 into LIBTORCH"
                 .to_owned(),

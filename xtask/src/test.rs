@@ -27,7 +27,7 @@ const STEPS: [Step; 6] = [
         args: "test --no-fail-fast --package xtask --package dril-stage-api --package dril-report",
         component: None,
     },
-    // Off by default, so nothing else builds it. The filter stands behind `--`: before it, cargo would not build the
+    // Off by default, so nothing else builds it. The filter comes after `--`: before it, cargo would not build the
     // example that the tests start. With a server, `tests/remote/s3.sh` tests more.
     Step {
         name: "shared cache",

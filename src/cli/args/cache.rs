@@ -27,9 +27,9 @@ pub(in crate::cli) enum CacheCommand {
     Export(ExportArgs),
     /// Add the contents of an archive to the cache; every digest and key is checked
     Import(ImportArgs),
-    /// Give results to a shared cache; goes on where an earlier one was cut off
+    /// Give results to a shared cache; continues where an earlier push was interrupted
     Push(TransferArgs),
-    /// Take results from a shared cache; takes only what is what it says
+    /// Take results from a shared cache; takes only content that matches its digest
     Pull(TransferArgs),
     /// Show which results are in a shared cache, and which differ from those here
     RemoteStatus(TransferArgs),

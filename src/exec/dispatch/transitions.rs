@@ -60,7 +60,7 @@ impl Dispatcher<'_, '_> {
                 self.journal.emit(&Event::StageFinished { stage, took });
                 self.record_in_history(stage)
             }
-            // Its outputs can be used, so stages downstream go on; but it has no record.
+            // Its outputs can be used, so stages downstream run; but it has no record.
             Err(error) => {
                 self.failed(stage, error.into());
                 Ok(())

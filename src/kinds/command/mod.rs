@@ -75,7 +75,7 @@ impl CommandParams {
         self.inputs.get(name).cloned().unwrap_or_default()
     }
 
-    /// Where an input lies in the working folder.
+    /// The path of an input in the working folder.
     fn input_path(&self, name: &str) -> String {
         let declared = self.inputs.get(name).and_then(|input| input.path.as_deref());
         declared.map_or_else(|| format!("inputs/{name}"), normal)

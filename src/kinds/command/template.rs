@@ -63,7 +63,7 @@ pub(super) fn pieces(text: &str) -> Result<Vec<Piece<'_>>, String> {
     Ok(pieces)
 }
 
-/// The name in the braces that open at `open`; `None` where something else stands there.
+/// The name in the braces that open at `open`; `None` where the braces contain something else.
 fn braced(text: &str, open: usize) -> Option<Range<usize>> {
     let rest = &text[open + 1..];
     let end = rest.find(|c: char| !(c.is_ascii_alphanumeric() || "_-.".contains(c)))?;

@@ -93,7 +93,7 @@ fn root(all: &Crate<'_>) -> Value {
         "name": format!("{}, profile {}: run {}", run.pipeline, run.profile, run.id),
         "description": "One run of an experiment pipeline: its results, what they were made from, and how.",
         "datePublished": iso(run.began),
-        "license": "The results are under the licence of whoever made them.",
+        "license": "The results are under the licence of those who made them.",
         "conformsTo": ids(PROFILES.map(|(id, _, _)| id.to_owned())),
         "hasPart": ids(parts), "mentions": ids(mentions),
     });

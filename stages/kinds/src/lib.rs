@@ -1,7 +1,7 @@
 //! The learning kinds as the engine plans with them: parameters, ports and resource needs, without libtorch.
 //!
 //! Each module describes one kind; `dril-learn` runs them. Defaults are literal values; the pipelines state those of the
-//! thesis's experiments. Where the thesis's text and its code differ, the field's documentation says how.
+//! thesis's experiments. Where the thesis's text and its code differ, the field's documentation states how.
 
 pub mod artifacts;
 mod bc;

@@ -34,7 +34,7 @@ pub(super) fn push(args: &TransferArgs, registry: &Registry) -> Result<ExitCode,
     } else {
         print(&pushed_text(&shared.url, &pushed, not_made))?;
     }
-    Ok(told(&shared.url, &pushed.different, &pushed.failed, pushed.given_up.as_deref(), "did not give"))
+    Ok(report(&shared.url, &pushed.different, &pushed.failed, pushed.given_up.as_deref(), "did not give"))
 }
 
 fn pushed_text(url: &str, pushed: &Pushed, not_made: usize) -> String {
@@ -91,7 +91,7 @@ pub(super) fn pull(args: &TransferArgs, registry: &Registry) -> Result<ExitCode,
         }
         print(&(text + "\n"))?;
     }
-    Ok(told(&shared.url, &[], &refused, given_up.as_deref(), "did not take"))
+    Ok(report(&shared.url, &[], &refused, given_up.as_deref(), "did not take"))
 }
 
 pub(super) fn status(args: &TransferArgs, registry: &Registry) -> Result<ExitCode, Error> {
@@ -116,7 +116,7 @@ pub(super) fn status(args: &TransferArgs, registry: &Registry) -> Result<ExitCod
         print(&status_text(&shared.url, all, &compared, not_made))?;
     }
     let Compared { different, refused, given_up, .. } = &compared;
-    Ok(told(&shared.url, different, refused, given_up.as_deref(), "cannot use"))
+    Ok(report(&shared.url, different, refused, given_up.as_deref(), "cannot use"))
 }
 
 fn status_text(url: &str, all: Option<usize>, compared: &Compared, not_made: usize) -> String {
@@ -178,7 +178,7 @@ fn problems(problems: &[Problem]) -> Vec<Value> {
 }
 
 /// Prints what went wrong; the exit code.
-fn told(
+fn report(
     url: &str,
     different: &[Difference],
     failed: &[Problem],
@@ -192,7 +192,7 @@ fn told(
         print_error(&format!("error: {did_not} the result {}: {}\n", key.short(), printable(why)));
     }
     if let Some(why) = given_up {
-        let hint = "what is done is done; the same command goes on from there";
+        let hint = "what was transferred stays; the same command continues from there";
         let (url, why) = (printable(url), printable(why));
         print_error(&format!("error: `{url}` does not answer: {why}\n  = hint: {hint}\n"));
         return ExitCode::from(exit_codes::IO);

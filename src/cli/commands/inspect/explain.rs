@@ -31,10 +31,10 @@ pub(in crate::cli) fn main(args: &ExplainArgs, registry: &Registry) -> Result<Ex
     let store = pipeline::store(&args.look.store)?;
     let picked = pick_stages(&graph, &args.look.stages)?;
     let plan = plan::plan(&graph, &store, &pipeline::source(&args.look.pipeline).base())?;
-    let is_told = |stage: &StageIndex| {
+    let is_explained = |stage: &StageIndex| {
         !args.look.stages.is_empty() || !matches!(plan.verdict(*stage), Some(Verdict::Cached { .. }))
     };
-    let asked: Vec<StageIndex> = picked.into_iter().filter(is_told).collect();
+    let asked: Vec<StageIndex> = picked.into_iter().filter(is_explained).collect();
     if args.look.stages.is_empty() && !args.look.json {
         let text = if asked.is_empty() {
             "every stage is up to date; name one to see why it ran last time\n".to_owned()
@@ -49,7 +49,7 @@ pub(in crate::cli) fn main(args: &ExplainArgs, registry: &Registry) -> Result<Ex
         plan: &plan,
         store: &store,
         terminal: Terminal::stdout(),
-        told: vec![false; explained.all.len()],
+        printed: vec![false; explained.all.len()],
         explained: &explained,
     };
     if args.look.json {
@@ -67,7 +67,7 @@ struct Printer<'a> {
     terminal: Terminal,
     explained: &'a Explanations,
     /// The stages that are in the output already.
-    told: Vec<bool>,
+    printed: Vec<bool>,
 }
 
 impl<'a> Printer<'a> {
@@ -93,13 +93,13 @@ impl<'a> Printer<'a> {
     }
 
     /// What differs in a stage, and the stages behind it. The deepest is not deeper than the program's own stack: what is
-    /// to be told next is kept in a list, the next one last.
+    /// to be printed next is kept in a list, the next one last.
     fn below(&mut self, at: usize, text: &mut String) {
         let mut next = vec![Next::Below { at, depth: 1 }];
         while let Some(step) = next.pop() {
             match step {
                 Next::Line(line) => *text += &line,
-                Next::Below { at, .. } if std::mem::replace(&mut self.told[at], true) => {
+                Next::Below { at, .. } if std::mem::replace(&mut self.printed[at], true) => {
                     // Its reasons are listed at its first occurrence.
                     let end = text.trim_end().len();
                     text.insert_str(end, " (as above)");
@@ -224,7 +224,7 @@ impl<'a> Printer<'a> {
         let mut all = Vec::new();
         let mut open: VecDeque<usize> = (0..self.explained.asked).collect();
         while let Some(at) = open.pop_front() {
-            if at < self.explained.asked || !self.told[at] {
+            if at < self.explained.asked || !self.printed[at] {
                 let mut json = self.json(at, 0, &mut open)?;
                 json["asked"] = json!(at < self.explained.asked);
                 all.push(json);
@@ -241,7 +241,7 @@ impl<'a> Printer<'a> {
             _ => "depends-on",
         };
         let asked_elsewhere = depth > 0 && at < self.explained.asked;
-        let repeated = asked_elsewhere || depth > 0 && self.told[at];
+        let repeated = asked_elsewhere || depth > 0 && self.printed[at];
         let mut json = json!({
             "stage": self.id(explanation.stage), "verdict": verdict, "key": explanation.key, "repeated": repeated,
             "against": Value::Null, "why": [], "causes": [],
@@ -254,7 +254,7 @@ impl<'a> Printer<'a> {
             open.push_back(at);
             return Ok(json);
         }
-        self.told[at] = true;
+        self.printed[at] = true;
         if let Some(key) = explanation.against {
             json["against"] = json!({ "key": key, "made": self.store.made_at(&key)?.map(epoch) });
         }
@@ -270,13 +270,13 @@ impl<'a> Printer<'a> {
     }
 }
 
-/// What is to be told next of a tree.
+/// What is to be printed next of a tree.
 enum Next {
     Line(String),
     Below { at: usize, depth: usize },
 }
 
-/// Deeper lines stand no further to the right.
+/// Deeper lines are indented no further.
 fn indent(depth: usize) -> String {
     "  ".repeat(depth.min(DEEPEST_INDENT))
 }

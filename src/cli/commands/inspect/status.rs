@@ -103,8 +103,8 @@ impl Past {
         Ok(Self { runs })
     }
 
-    /// The latest entry of that key with that fate.
-    fn told(&self, key: &Key, fate: StageState) -> Option<(&PastRun, &crate::store::StageOfRun)> {
+    /// The latest entry of a stage with that key in that state.
+    fn latest(&self, key: &Key, fate: StageState) -> Option<(&PastRun, &crate::store::StageOfRun)> {
         self.runs.iter().find_map(|run| {
             let mut stages = run.stages.values();
             stages.find(|stage| stage.key == Some(*key) && stage.fate == fate).map(|stage| (run, stage))
@@ -130,11 +130,11 @@ fn line(
         }
         Some(Verdict::Run { key, .. }) if store.is_being_made(key) => {
             line.state = State::Running;
-            line.since = past.told(key, StageState::Started).map(|(run, stage)| run.time(stage.at));
+            line.since = past.latest(key, StageState::Started).map(|(run, stage)| run.time(stage.at));
         }
         Some(Verdict::Run { key, .. }) => {
             line.state = State::Stale;
-            if let Some((run, failed)) = past.told(key, StageState::Failed) {
+            if let Some((run, failed)) = past.latest(key, StageState::Failed) {
                 line.state = State::Failed;
                 line.since = Some(run.time(failed.at));
                 line.error.clone_from(&failed.error);
@@ -204,12 +204,12 @@ fn words(group: &[&Line]) -> String {
     if !takes.is_empty() {
         let sum: Duration = takes.iter().sum();
         let comma = if text.is_empty() { "" } else { ", " };
-        let told = if group[0].state == State::Fresh {
+        let time = if group[0].state == State::Fresh {
             format!("took {}", duration(sum))
         } else {
             format!("takes about {}", estimate(sum))
         };
-        text += &format!("{comma}{told}");
+        text += &format!("{comma}{time}");
     }
     if let Some(error) = &group[0].error {
         text += &format!(": {}", printable(error.lines().next().unwrap_or_default()));
