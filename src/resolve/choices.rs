@@ -11,7 +11,7 @@ use crate::spec::model::{Defaults, Layer, MatrixAxis};
 use crate::spec::names;
 use crate::spec::node::{Key, Node, Value};
 use crate::spec::problem::{Problem, ProblemList};
-use crate::spec::source::{Source, Sources, Span};
+use crate::spec::source::{SourceText, Sources, Span};
 use crate::spec::suggest;
 use crate::spec::yaml;
 
@@ -50,7 +50,7 @@ impl<'a> Layers<'a> {
         let mut set = Vec::new();
         let mut sweeps: Vec<Sweep> = Vec::new();
         for argument in &choices.set {
-            let source = sources.add(Source::argument("--set", argument));
+            let source = sources.add(SourceText::argument("--set", argument));
             let Some((keys, values)) = assignment(argument, source, problems) else { continue };
             let value = match <[Node; 1]>::try_from(values) {
                 Ok([value]) => Some(value),
@@ -130,7 +130,7 @@ fn profile<'a>(
         return (found.name.text.clone(), &found.layers);
     }
     if !(spec.profiles.is_empty() && wanted == DEFAULT) {
-        let source = sources.add(Source::argument("--profile", wanted));
+        let source = sources.add(SourceText::argument("--profile", wanted));
         problems.add(|| {
             let at = Span::new(source, 0..wanted.len());
             let problem =

@@ -15,7 +15,7 @@ use super::model::{Entries, Layer, Profile, Spec, Stage};
 use super::names;
 use super::node::{Key, Node, Value};
 use super::problem::{Problem, ProblemList};
-use super::source::{Source, Span};
+use super::source::{SourceText, Span};
 
 pub(super) const TOP: [&str; 8] =
     ["name", "include", "seed", "params", "axes", "defaults", "stages", "profiles"];
@@ -64,7 +64,7 @@ pub(super) fn file(root: Node, is_included: bool, problems: &mut ProblemList) ->
 pub(super) fn spec(
     files: Vec<File>,
     name: SourceName,
-    sources: Vec<Arc<Source>>,
+    sources: Vec<Arc<SourceText>>,
     mut problems: ProblemList,
 ) -> Spec {
     let mut pipeline = String::new();

@@ -3,7 +3,7 @@
 use std::fmt;
 
 use super::SourceName;
-use super::source::{Source, Span};
+use super::source::{SourceText, Span};
 
 /// Source lines are cropped to about this many characters around the caret.
 const WIDTH: usize = 120;
@@ -38,7 +38,7 @@ pub struct Place {
 }
 
 impl Place {
-    pub(super) fn new(source: &Source, span: Span, label: String) -> Self {
+    pub(super) fn new(source: &SourceText, span: Span, label: String) -> Self {
         let line = source.line(span);
         let before = line.text[..line.range.start].chars().count();
         let width = line.text[line.range.clone()].trim_end().chars().count().max(1);
@@ -182,12 +182,12 @@ mod tests {
     use super::*;
 
     fn place(text: &str, range: std::ops::Range<usize>) -> Place {
-        Place::new(&Source::file("a.yaml", text), Span::new(0, range), String::new())
+        Place::new(&SourceText::file("a.yaml", text), Span::new(0, range), String::new())
     }
 
     #[test]
     fn a_problem_shows_message_place_line_caret_and_hint() {
-        let source = Source::file("pipelines/a.yaml", "one\n    inputs: { demo: dataset }\n");
+        let source = SourceText::file("pipelines/a.yaml", "one\n    inputs: { demo: dataset }\n");
         let place = Place::new(&source, Span::new(0, 18..22), "not an input of kind `bc`".into());
         let problem = Diagnostic {
             message: "stage `clone` has no input `demo`".into(),

@@ -9,7 +9,7 @@ use super::model::Spec;
 use super::node::{Key, Value, shorten};
 use super::pieces;
 use super::problem::{Problem, ProblemList};
-use super::source::{Source, Sources, Span};
+use super::source::{SourceText, Sources, Span};
 use super::yaml;
 use super::{Diagnostics, Load, MAX_BYTES, SourceName, not_a_map};
 
@@ -23,7 +23,7 @@ pub(super) struct Reader<'r, 'l> {
     name: &'r SourceName,
     load: &'r mut Load<'l>,
     memo: Option<&'r mut Memo>,
-    sources: Vec<Arc<Source>>,
+    sources: Vec<Arc<SourceText>>,
     problems: ProblemList,
     /// Those that are read, an included one before the file that includes it.
     files: Vec<File>,
@@ -46,7 +46,7 @@ impl<'r, 'l> Reader<'r, 'l> {
     pub fn read(mut self, bytes: &[u8]) -> Result<Spec, Diagnostics> {
         let own = self.name.0.rsplit('/').next().unwrap_or_default().to_owned();
         let main = self.name.0.clone();
-        let fine = self.file(bytes, &own, |text| Source::file(&main, text));
+        let fine = self.file(bytes, &own, |text| SourceText::file(&main, text));
         if fine.is_none() || self.broken {
             // Without its tree there is nothing to continue with.
             return Err(self.problems.into_diagnostics(&Sources::of(&self.sources)));
@@ -55,7 +55,7 @@ impl<'r, 'l> Reader<'r, 'l> {
     }
 
     /// Reads one file, whose path is `path`; `None` where there is no tree, which was reported.
-    fn file(&mut self, bytes: &[u8], path: &str, source: impl Fn(&str) -> Source) -> Option<()> {
+    fn file(&mut self, bytes: &[u8], path: &str, source: impl Fn(&str) -> SourceText) -> Option<()> {
         let number = u16::try_from(self.sources.len()).unwrap_or(u16::MAX);
         let text = match std::str::from_utf8(bytes) {
             // Some editors put this mark in front; it means nothing in UTF-8.
@@ -133,7 +133,7 @@ impl<'r, 'l> Reader<'r, 'l> {
             Ok(bytes) => {
                 let main = self.name.0.clone();
                 let named = path.clone();
-                let read = self.file(&bytes, &path, |text| Source::included(&main, &named, text));
+                let read = self.file(&bytes, &path, |text| SourceText::included(&main, &named, text));
                 self.broken |= read.is_none();
             }
             Err(error) => {

@@ -7,7 +7,7 @@ use super::SourceName;
 use super::limits::{Limits, Resources};
 use super::node::{Key, Node};
 use super::problem::ProblemList;
-use super::source::Source;
+use super::source::SourceText;
 
 /// A parsed pipeline file.
 ///
@@ -16,7 +16,7 @@ use super::source::Source;
 pub struct Spec {
     pub(crate) name: SourceName,
     /// The file and its included files.
-    pub(crate) sources: Vec<Arc<Source>>,
+    pub(crate) sources: Vec<Arc<SourceText>>,
     pub(crate) problems: ProblemList,
     /// The pipeline's name; empty where it is missing.
     pub(crate) pipeline: String,

@@ -34,7 +34,7 @@ impl Span {
 
 /// A text with its name.
 #[derive(Clone, Debug)]
-pub(crate) struct Source {
+pub(crate) struct SourceText {
     /// As shown in messages: `pipelines/thesis.yaml`, or ``argument `--set` ``.
     pub name: String,
     /// All of it.
@@ -59,7 +59,7 @@ pub(crate) struct Line<'a> {
     pub range: std::ops::Range<usize>,
 }
 
-impl Source {
+impl SourceText {
     /// A file.
     pub fn file(name: &str, text: &str) -> Self {
         Self::new(name.to_owned(), text, false)
@@ -122,22 +122,22 @@ fn floor(text: &str, at: usize) -> usize {
 
 /// The sources of one resolution.
 #[derive(Clone, Debug)]
-pub(crate) struct Sources(Vec<Arc<Source>>);
+pub(crate) struct Sources(Vec<Arc<SourceText>>);
 
 impl Sources {
     /// The pipeline file, as source 0, and those that it includes.
-    pub fn of(files: &[Arc<Source>]) -> Self {
+    pub fn of(files: &[Arc<SourceText>]) -> Self {
         Self(files.to_vec())
     }
 
     /// Adds a source and gives its number.
-    pub fn add(&mut self, source: Source) -> u16 {
+    pub fn add(&mut self, source: SourceText) -> u16 {
         self.0.push(Arc::new(source));
         u16::try_from(self.0.len() - 1).unwrap_or(u16::MAX)
     }
 
     /// The source that `span` points into; the file where there is no such source.
-    pub fn get(&self, span: Span) -> &Source {
+    pub fn get(&self, span: Span) -> &SourceText {
         self.0.get(usize::from(span.source)).unwrap_or(&self.0[0])
     }
 }
@@ -148,7 +148,7 @@ mod tests {
 
     #[test]
     fn a_span_knows_its_line_and_its_column_in_characters() {
-        let source = Source::file("a.yaml", "first\r\ngrün: x\n");
+        let source = SourceText::file("a.yaml", "first\r\ngrün: x\n");
         let at = source.text.find('x').unwrap();
         let line = source.line(Span::new(0, at..at + 1));
         assert_eq!((line.number, line.column, line.text), (2, 7, "grün: x"));
@@ -158,18 +158,18 @@ mod tests {
 
     #[test]
     fn a_span_past_the_end_or_inside_a_character_points_at_something() {
-        let source = Source::file("a.yaml", "ü");
+        let source = SourceText::file("a.yaml", "ü");
         for range in [0..9, 1..1, 7..9, 1..2] {
             let line = source.line(Span::new(0, range));
             assert_eq!(line.number, 1);
             assert!(line.text.get(line.range).is_some());
         }
-        assert_eq!(Source::file("a.yaml", "").line(Span::new(0, 0..0)).column, 1);
+        assert_eq!(SourceText::file("a.yaml", "").line(Span::new(0, 0..0)).column, 1);
     }
 
     #[test]
     fn a_span_of_several_lines_covers_the_rest_of_the_first() {
-        let source = Source::file("a.yaml", "a: [1,\n 2]\n");
+        let source = SourceText::file("a.yaml", "a: [1,\n 2]\n");
         let line = source.line(Span::new(0, 3..10));
         assert_eq!(&line.text[line.range], "[1,");
     }

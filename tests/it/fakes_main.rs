@@ -13,7 +13,7 @@ use std::sync::atomic::AtomicBool;
 
 use dril_pipe::exec::{self, ChildRunner, Options};
 use dril_pipe::{plan, store::Store};
-use dril_stage_api::outcome::Outcome;
+use dril_stage_api::outcome::PipelineOutcome;
 
 fn main() -> ExitCode {
     let arguments: Vec<_> = std::env::args_os().collect();
@@ -41,7 +41,10 @@ fn main() -> ExitCode {
 const MARK: &str = "<!-- page -->\n";
 
 /// A page that says what it was handed.
-fn page(outcome: &Outcome, other: Option<(&str, &Outcome)>) -> Result<String, dril_stage_api::StageError> {
+fn page(
+    outcome: &PipelineOutcome,
+    other: Option<(&str, &PipelineOutcome)>,
+) -> Result<String, dril_stage_api::StageError> {
     let first = outcome.first_profile.as_deref().unwrap_or("none");
     let command = outcome.command.join(" ");
     let mut page = format!("{MARK}{} {} of {first}, {command}\n", outcome.pipeline, outcome.profile);

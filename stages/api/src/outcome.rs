@@ -11,7 +11,7 @@ use crate::Artifact;
 
 /// A pipeline and its stages.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Outcome {
+pub struct PipelineOutcome {
     /// The pipeline's name.
     pub pipeline: String,
     /// The profile.
@@ -79,7 +79,7 @@ pub enum State {
 pub struct InputOutcome {
     /// The input's name.
     pub port: String,
-    /// The index in [`Outcome::stages`] of the stage that it comes from; `None` for an external file.
+    /// The index in [`PipelineOutcome::stages`] of the stage that it comes from; `None` for an external file.
     pub stage: Option<usize>,
     /// The output's name, or the file as the pipeline names it.
     pub from: String,

@@ -195,7 +195,7 @@ fn bc(batch: usize) -> f64 {
 
 fn ensemble(batch: usize) -> f64 {
     let observation = observation(Network::DrilCnn);
-    let architecture = ensemble::Architecture { observation, actions: ACTIONS, members: 5 };
+    let architecture = ensemble::EnsembleArchitecture { observation, actions: ACTIONS, members: 5 };
     imitate(Ensemble::new(architecture, &mut Seed(1).stream("init")).unwrap(), batch)
 }
 

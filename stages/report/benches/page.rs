@@ -11,7 +11,7 @@ use std::time::Instant;
 use dril_report::Figure;
 use dril_report::html::page;
 use dril_stage_api::Artifact;
-use dril_stage_api::outcome::{InputOutcome, Outcome, OutputOutcome, StageOutcome, State};
+use dril_stage_api::outcome::{InputOutcome, OutputOutcome, PipelineOutcome, StageOutcome, State};
 use dril_stage_api::testing::Bench;
 use serde_json::{Value, json};
 
@@ -39,7 +39,7 @@ fn main() -> ExitCode {
 }
 
 /// 1,000 evaluations of twenty names, a training log of 100,000 rows and its figure.
-fn large(folder: &Path) -> Outcome {
+fn large(folder: &Path) -> PipelineOutcome {
     let mut stages = Vec::new();
     for n in 0..1000 {
         let rows =
@@ -74,7 +74,7 @@ fn large(folder: &Path) -> Outcome {
         labels: BTreeMap::new(),
     }];
     stages.push(figure);
-    Outcome {
+    PipelineOutcome {
         pipeline: "large".to_owned(),
         profile: "full".to_owned(),
         first_profile: Some("full".to_owned()),

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use dril_stage_api::Registry;
-use dril_stage_api::outcome::{Outcome, OutputOutcome, StageOutcome, State};
+use dril_stage_api::outcome::{OutputOutcome, PipelineOutcome, StageOutcome, State};
 
 use crate::cli::commands::inspect::pick_run;
 use crate::error::{Error, ErrorKind};
@@ -17,7 +17,7 @@ use crate::store::{Key, Record, Store};
 pub(super) struct Other {
     /// Its name in the report.
     pub(super) name: String,
-    pub(super) outcome: Outcome,
+    pub(super) outcome: PipelineOutcome,
     _unpacked: Option<Unpacked>,
 }
 
@@ -78,8 +78,15 @@ impl Drop for Unpacked {
     }
 }
 
-fn outcome(pipeline: String, profile: String, stages: Vec<StageOutcome>) -> Outcome {
-    Outcome { pipeline, profile, first_profile: None, command: Vec::new(), tool: String::new(), stages }
+fn outcome(pipeline: String, profile: String, stages: Vec<StageOutcome>) -> PipelineOutcome {
+    PipelineOutcome {
+        pipeline,
+        profile,
+        first_profile: None,
+        command: Vec::new(),
+        tool: String::new(),
+        stages,
+    }
 }
 
 /// A stage with a result in the store.

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use dril_stage_api::Kind;
-use dril_stage_api::outcome::{InputOutcome, Outcome, OutputOutcome, StageOutcome, State};
+use dril_stage_api::outcome::{InputOutcome, OutputOutcome, PipelineOutcome, StageOutcome, State};
 use serde_json::Value;
 
 use crate::cli::args::PipelineArgs;
@@ -23,12 +23,12 @@ pub(super) fn outcome(
     graph: &Graph,
     store: &Store,
     folder: &Path,
-) -> Result<Outcome, Error> {
+) -> Result<PipelineOutcome, Error> {
     let plan = plan::plan(graph, store, &pipeline::source(args).base())?;
     let viewer =
         Viewer { plan: &plan, store, failures: Failures::of(&plan, store)?, files: files(graph, folder) };
     let stages = graph.stages.node_indices().map(|stage| viewer.stage(stage)).collect::<Result<_, _>>()?;
-    Ok(Outcome {
+    Ok(PipelineOutcome {
         pipeline: graph.pipeline.clone(),
         profile: graph.profile.clone(),
         first_profile: pipeline::source(args).first_profile()?,

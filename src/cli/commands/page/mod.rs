@@ -8,7 +8,7 @@ use std::path::Path;
 use std::process::ExitCode;
 use std::sync::OnceLock;
 
-use dril_stage_api::outcome::Outcome;
+use dril_stage_api::outcome::PipelineOutcome;
 use dril_stage_api::{Registry, StageError};
 
 use crate::cli::args::{PipelineArgs, ReportArgs, RunArgs};
@@ -25,7 +25,7 @@ use against::Other;
 const FILE: &str = "report.html";
 
 /// Renders a report; with the name and the results of another run, it compares both.
-pub type Page = fn(&Outcome, Option<(&str, &Outcome)>) -> Result<String, StageError>;
+pub type Page = fn(&PipelineOutcome, Option<(&str, &PipelineOutcome)>) -> Result<String, StageError>;
 
 /// The function that renders reports, and the first line by which they are recognised.
 static WRITER: OnceLock<(Page, &'static str)> = OnceLock::new();

@@ -5,7 +5,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use dril_stage_api::outcome::{Outcome, OutputOutcome, StageOutcome, State};
+use dril_stage_api::outcome::{OutputOutcome, PipelineOutcome, StageOutcome, State};
 use dril_stage_api::scores::{self, ScoreRow};
 use dril_stage_api::{Artifact, StageError};
 use maud::{Markup, PreEscaped, html};
@@ -26,9 +26,9 @@ type Pair<'o> = (&'o StageOutcome, &'o StageOutcome);
 
 /// The comparison with the run `name`.
 pub(crate) fn section(
-    ours: &Outcome,
+    ours: &PipelineOutcome,
     name: &str,
-    theirs: &Outcome,
+    theirs: &PipelineOutcome,
     room: &mut Room,
 ) -> Result<Section, StageError> {
     let others: BTreeMap<&str, &StageOutcome> =

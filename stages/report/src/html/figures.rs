@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use dril_stage_api::outcome::{Outcome, OutputOutcome, StageOutcome};
+use dril_stage_api::outcome::{OutputOutcome, PipelineOutcome, StageOutcome};
 use dril_stage_api::{Artifact, InputItem, Labels, StageError};
 use maud::{Markup, PreEscaped, html};
 
@@ -21,7 +21,7 @@ const MOST_PANELS: usize = 12;
 const REPETITIONS: [&str; 4] = ["seed", "fold", "run", "repetition"];
 
 /// The pipeline's own figures.
-pub(crate) fn section(outcome: &Outcome, room: &mut Room) -> Result<Option<Section>, StageError> {
+pub(crate) fn section(outcome: &PipelineOutcome, room: &mut Room) -> Result<Option<Section>, StageError> {
     let all = made(outcome, |stage, output| output.artifact == Artifact::FIGURE && !is_replay(stage));
     if all.is_empty() {
         return Ok(None);
@@ -108,7 +108,7 @@ pub(crate) const SIDE: &str = "side";
 pub(crate) type Member<'o> = (Vec<(String, String)>, &'o OutputOutcome);
 
 /// Default figures of scores and training logs that no figure of the pipeline reads.
-pub(crate) fn automatic(outcome: &Outcome, room: &mut Room) -> Result<Option<Section>, StageError> {
+pub(crate) fn automatic(outcome: &PipelineOutcome, room: &mut Room) -> Result<Option<Section>, StageError> {
     let drawn = |name: &str, output: &str| {
         outcome.stages.iter().filter(|stage| stage.kind == "figure").any(|figure| {
             figure.inputs.iter().any(|input| {

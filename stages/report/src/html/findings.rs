@@ -1,7 +1,7 @@
 //! Findings: each claim with its verdict and interval.
 
 use dril_stage_api::StageError;
-use dril_stage_api::outcome::Outcome;
+use dril_stage_api::outcome::PipelineOutcome;
 use maud::{Markup, html};
 
 use super::csvs::Csv;
@@ -12,7 +12,7 @@ use crate::number::rounded;
 const BAR: (f64, f64) = (180.0, 22.0);
 
 /// The findings of all stages of the kind, one after the other.
-pub(crate) fn section(outcome: &Outcome) -> Result<Option<Section>, StageError> {
+pub(crate) fn section(outcome: &PipelineOutcome) -> Result<Option<Section>, StageError> {
     let all = made(outcome, |stage, output| stage.kind == "findings" && output.name == "csv");
     let mut bodies: Vec<Markup> = Vec::new();
     for (stage, output) in all {
@@ -24,7 +24,7 @@ pub(crate) fn section(outcome: &Outcome) -> Result<Option<Section>, StageError> 
 }
 
 /// How many claims hold, are contradicted, are undecided; `None` where there are no findings.
-pub(crate) fn counts(outcome: &Outcome) -> Result<Option<[(&'static str, usize); 3]>, StageError> {
+pub(crate) fn counts(outcome: &PipelineOutcome) -> Result<Option<[(&'static str, usize); 3]>, StageError> {
     let mut counts = [("holds", 0), ("contradicted", 0), ("undecided", 0)];
     for (_, output) in made(outcome, |stage, output| stage.kind == "findings" && output.name == "csv") {
         let Some(csv) = Csv::parse(&read(output)?) else { continue };
@@ -39,7 +39,7 @@ pub(crate) fn counts(outcome: &Outcome) -> Result<Option<[(&'static str, usize);
 }
 
 /// True if findings rest on one training per cell.
-pub(crate) fn rest_on_one_training(outcome: &Outcome) -> Result<bool, StageError> {
+pub(crate) fn rest_on_one_training(outcome: &PipelineOutcome) -> Result<bool, StageError> {
     for (_, output) in made(outcome, |stage, output| stage.kind == "findings" && output.name == "csv") {
         let csv = Csv::parse(&read(output)?).unwrap_or_default();
         if csv.rows.iter().any(|row| csv.cell(row, "over") == "tracks") {

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 
-use dril_stage_api::outcome::{Outcome, State};
+use dril_stage_api::outcome::{PipelineOutcome, State};
 use maud::{PreEscaped, html};
 
 use super::Section;
@@ -27,7 +27,7 @@ struct Node<'o> {
 }
 
 /// The section with the drawing.
-pub(crate) fn section(outcome: &Outcome) -> Section {
+pub(crate) fn section(outcome: &PipelineOutcome) -> Section {
     let (nodes, edges) = layered(outcome);
     let body = if nodes.len() > MOST {
         html! { p { (nodes.len()) " stages are too many to draw." } }
@@ -46,7 +46,7 @@ pub(crate) fn section(outcome: &Outcome) -> Section {
 }
 
 /// The stages of the file with their columns, and the edges between them.
-fn layered(outcome: &Outcome) -> (Vec<Node<'_>>, BTreeSet<(usize, usize)>) {
+fn layered(outcome: &PipelineOutcome) -> (Vec<Node<'_>>, BTreeSet<(usize, usize)>) {
     let mut nodes: Vec<Node<'_>> = Vec::new();
     let mut places = Vec::new();
     for stage in &outcome.stages {

@@ -3,13 +3,13 @@
 use std::collections::BTreeSet;
 
 use dril_stage_api::StageError;
-use dril_stage_api::outcome::{Outcome, State};
+use dril_stage_api::outcome::{PipelineOutcome, State};
 use maud::{Markup, html};
 
 use super::{count, duration, findings};
 
 /// The head of the page.
-pub(crate) fn head(outcome: &Outcome) -> Result<Markup, StageError> {
+pub(crate) fn head(outcome: &PipelineOutcome) -> Result<Markup, StageError> {
     let of = |fits: fn(&State) -> bool| outcome.stages.iter().filter(|stage| fits(&stage.state)).count();
     let (done, failed) = (of(|state| *state == State::Done), of(|state| matches!(state, State::Failed(_))));
     let open = outcome.stages.len() - done - failed;
@@ -34,7 +34,7 @@ pub(crate) fn head(outcome: &Outcome) -> Result<Markup, StageError> {
 }
 
 /// Warnings that a reader must see before any number.
-fn warnings(outcome: &Outcome, failed: usize, open: usize) -> Result<Vec<String>, StageError> {
+fn warnings(outcome: &PipelineOutcome, failed: usize, open: usize) -> Result<Vec<String>, StageError> {
     let mut warnings = Vec::new();
     if let Some(full) = outcome.first_profile.as_ref().filter(|full| **full != outcome.profile) {
         warnings.push(format!(
@@ -59,7 +59,7 @@ fn warnings(outcome: &Outcome, failed: usize, open: usize) -> Result<Vec<String>
 }
 
 /// Distinct programs, platforms and libraries of all results.
-fn made_with(outcome: &Outcome) -> Vec<String> {
+fn made_with(outcome: &PipelineOutcome) -> Vec<String> {
     let all: BTreeSet<(&String, &String)> =
         outcome.stages.iter().flat_map(|stage| &stage.made_with).collect();
     all.into_iter().map(|(what, version)| format!("{what} {version}")).collect()

@@ -1,7 +1,7 @@
 //! The report: one HTML file about a pipeline's results that makes no requests, has no scripts and is readable without
 //! style sheets. It needs no configuration.
 //!
-//! It is a function of the [`Outcome`] and of the files that it names: equal stores give equal bytes.
+//! It is a function of the [`PipelineOutcome`] and of the files that it names: equal stores give equal bytes.
 
 mod against;
 mod csvs;
@@ -16,7 +16,7 @@ mod style;
 mod tables;
 
 use dril_stage_api::StageError;
-use dril_stage_api::outcome::{Outcome, OutputOutcome, StageOutcome, State};
+use dril_stage_api::outcome::{OutputOutcome, PipelineOutcome, StageOutcome, State};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 /// The first line of every report; a later run overwrites only files that begin with it.
@@ -52,7 +52,10 @@ impl Room {
 ///
 /// # Errors
 /// A result that an outcome names cannot be read.
-pub fn page(outcome: &Outcome, other: Option<(&str, &Outcome)>) -> Result<String, StageError> {
+pub fn page(
+    outcome: &PipelineOutcome,
+    other: Option<(&str, &PipelineOutcome)>,
+) -> Result<String, StageError> {
     let mut room = Room { left: ROOM };
     let compared =
         other.map(|(name, other)| against::section(outcome, name, other, &mut room)).transpose()?;
@@ -111,7 +114,7 @@ pub fn page(outcome: &Outcome, other: Option<(&str, &Outcome)>) -> Result<String
 
 /// The stages that are done and have an output that `fits`, with it, in the order of the pipeline.
 pub(crate) fn made(
-    outcome: &Outcome,
+    outcome: &PipelineOutcome,
     fits: impl Fn(&StageOutcome, &OutputOutcome) -> bool,
 ) -> Vec<(&StageOutcome, &OutputOutcome)> {
     let stages = outcome.stages.iter().filter(|stage| stage.state == State::Done);

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use dril_stage_api::outcome::{Outcome, StageOutcome, State};
+use dril_stage_api::outcome::{PipelineOutcome, StageOutcome, State};
 use maud::{Markup, html};
 use serde_json::Value;
 
@@ -14,7 +14,7 @@ const MOST_INSTANCES: usize = 200;
 const LONGEST: usize = 120;
 
 /// All stages.
-pub(crate) fn section(outcome: &Outcome) -> Section {
+pub(crate) fn section(outcome: &PipelineOutcome) -> Section {
     let mut groups: Vec<Vec<&StageOutcome>> = Vec::new();
     for stage in &outcome.stages {
         match groups.iter_mut().find(|group| group[0].name == stage.name) {
@@ -143,7 +143,7 @@ fn short(hex: &str) -> String {
 }
 
 /// The commands that reproduce the results.
-pub(crate) fn reproduce(outcome: &Outcome) -> Section {
+pub(crate) fn reproduce(outcome: &PipelineOutcome) -> Section {
     let command = |words: &[&str]| {
         let mut all: Vec<String> = vec!["dril-pipe".to_owned()];
         all.extend(words.iter().map(|word| (*word).to_owned()));

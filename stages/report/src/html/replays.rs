@@ -2,7 +2,7 @@
 //! coloured by speed.
 
 use dril_stage_api::StageError;
-use dril_stage_api::outcome::{Outcome, OutputOutcome, StageOutcome, State};
+use dril_stage_api::outcome::{OutputOutcome, PipelineOutcome, StageOutcome, State};
 use maud::{Markup, PreEscaped, html};
 
 use super::csvs::Csv;
@@ -21,7 +21,7 @@ const LEGEND: f64 = 30.0;
 const COLOURS: [&str; 5] = ["#0072b2", "#56b4e9", "#009e73", "#e69f00", "#d55e00"];
 
 /// The section; `None` if no stage rendered an episode.
-pub(crate) fn section(outcome: &Outcome, room: &mut Room) -> Result<Option<Section>, StageError> {
+pub(crate) fn section(outcome: &PipelineOutcome, room: &mut Room) -> Result<Option<Section>, StageError> {
     let drawn = |stage: &&StageOutcome| is_replay(stage) && stage.state == State::Done;
     let mut bodies = Vec::new();
     for stage in outcome.stages.iter().filter(drawn) {

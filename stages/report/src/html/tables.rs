@@ -1,6 +1,6 @@
 //! The tables of the report: the largest first, the others folded.
 
-use dril_stage_api::outcome::{Outcome, OutputOutcome, StageOutcome};
+use dril_stage_api::outcome::{OutputOutcome, PipelineOutcome, StageOutcome};
 use dril_stage_api::{Artifact, StageError};
 use maud::{Markup, html};
 
@@ -11,7 +11,7 @@ use super::{Room, Section, count, grid, link, made, read, title_of};
 const MOST_TABLES: usize = 40;
 
 /// The tables, except those with sections of their own.
-fn tables(outcome: &Outcome) -> Vec<(&StageOutcome, &OutputOutcome)> {
+fn tables(outcome: &PipelineOutcome) -> Vec<(&StageOutcome, &OutputOutcome)> {
     made(outcome, |stage, output| {
         let has_its_own_section = ["findings", "figure"].contains(&stage.kind.as_str());
         output.artifact == Artifact::TABLE && output.extension == "csv" && !has_its_own_section
@@ -34,14 +34,14 @@ fn first_of<'o>(
 }
 
 /// The section of the main table.
-pub(crate) fn first(outcome: &Outcome) -> Result<Option<Section>, StageError> {
+pub(crate) fn first(outcome: &PipelineOutcome) -> Result<Option<Section>, StageError> {
     let Some((stage, output, csv)) = first_of(&tables(outcome))? else { return Ok(None) };
     let body = html! { (table(stage, &csv)) (files(stage, output)) };
     Ok(Some(Section { anchor: "results", title: "Results", body }))
 }
 
 /// All other tables.
-pub(crate) fn others(outcome: &Outcome, room: &mut Room) -> Result<Option<Section>, StageError> {
+pub(crate) fn others(outcome: &PipelineOutcome, room: &mut Room) -> Result<Option<Section>, StageError> {
     let all = tables(outcome);
     let first = first_of(&all)?.map(|(_, output, _)| output);
     let rest: Vec<_> = all.into_iter().filter(|(_, output)| Some(*output) != first).collect();

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use dril_report::html::{MARK, page};
 use dril_report::{Figure, Findings, Table};
-use dril_stage_api::outcome::{InputOutcome, Outcome, OutputOutcome, StageOutcome, State};
+use dril_stage_api::outcome::{InputOutcome, OutputOutcome, PipelineOutcome, StageOutcome, State};
 use dril_stage_api::testing::Bench;
 use dril_stage_api::{Artifact, Stage};
 use serde_json::{Value, json};
@@ -17,12 +17,12 @@ use crate::fakes;
 /// An outcome whose results lie in a folder of its own.
 struct Lab {
     folder: tempfile::TempDir,
-    outcome: Outcome,
+    outcome: PipelineOutcome,
 }
 
 impl Lab {
     fn new(profile: &str) -> Self {
-        let outcome = Outcome {
+        let outcome = PipelineOutcome {
             pipeline: "thesis".into(),
             profile: profile.into(),
             first_profile: Some("thesis".into()),

@@ -44,7 +44,7 @@ fn bench(params: &Value, seed: u64) -> Bench {
     let (network, family) = (Network::DrilCnn, PolicyFamily::Beta);
     let architecture = Architecture { network, family, observation, actions };
     Policy::new(architecture, &mut Seed(7).stream("init")).unwrap().save(&folder.join("policy")).unwrap();
-    let members = ensemble::Architecture { observation, actions, members: 2 };
+    let members = ensemble::EnsembleArchitecture { observation, actions, members: 2 };
     let members = Ensemble::new(members, &mut Seed(7).stream("init")).unwrap();
     std::fs::write(folder.join("ensemble"), members.to_bytes().unwrap()).unwrap();
     expert(4).write(&folder.join("demos")).unwrap();
@@ -164,7 +164,7 @@ fn the_log_has_what_only_dril_knows() {
 #[test]
 fn an_ensemble_for_other_observations_is_refused() {
     let bench = bench(&params(1), 1);
-    let other = ensemble::Architecture {
+    let other = ensemble::EnsembleArchitecture {
         observation: ObservationSpace::Vector { len: 3 },
         actions: ActionSpace::Continuous { dims: 2 },
         members: 2,
@@ -180,7 +180,7 @@ fn vector_world() -> (Ensemble, Transitions) {
     let folder = tempfile::tempdir().unwrap();
     vector_demos(&[30, 20]).write(&folder.path().join("demos")).unwrap();
     let transitions = Transitions::load("demonstrations", &folder.path().join("demos")).unwrap();
-    let members = ensemble::Architecture {
+    let members = ensemble::EnsembleArchitecture {
         observation: transitions.observation(),
         actions: transitions.action_space(),
         members: 5,
@@ -225,7 +225,7 @@ fn rewards_follow_from_the_cost_of_each_entrys_own_observation_and_action() {
 #[test]
 fn each_choice_has_a_threshold_of_its_own_unless_the_last_one_s_is_asked_for() {
     let (_, transitions) = vector_world();
-    let members = ensemble::Architecture {
+    let members = ensemble::EnsembleArchitecture {
         observation: transitions.observation(),
         actions: ActionSpace::Discrete { actions: 4 },
         members: 5,

@@ -7,7 +7,7 @@ use dril_envs::ActionSpace;
 use dril_kinds::{Bootstrap, EnsembleParams, Validation};
 use dril_stage_api::{Ctx, Stage, StageError, StreamRng};
 
-pub use net::{Architecture, Ensemble};
+pub use net::{Ensemble, EnsembleArchitecture};
 
 use super::imitation::{self, Imitator, Schedule};
 use crate::data::split::{Partition, divide, with_replacement};
@@ -25,7 +25,7 @@ impl Stage for EnsembleStage {
     fn run(params: &EnsembleParams, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
         let transitions = Transitions::load("demonstrations", ctx.input("demonstrations")?)?;
         let members = params.n_members as usize;
-        let architecture = Architecture {
+        let architecture = EnsembleArchitecture {
             observation: transitions.observation(),
             actions: transitions.action_space(),
             members,

@@ -18,7 +18,7 @@ const HIDDEN: usize = 512;
 
 /// The architecture of an ensemble; determines the layout of its parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Architecture {
+pub struct EnsembleArchitecture {
     /// Observation space.
     pub observation: ObservationSpace,
     /// Action space: members output actions, or the logits of discrete actions.
@@ -30,7 +30,7 @@ pub struct Architecture {
 /// Several policies, each of which outputs an action; their disagreement is DRIL's cost.
 #[derive(Debug)]
 pub struct Ensemble {
-    architecture: Architecture,
+    architecture: EnsembleArchitecture,
     heads: Vec<NodeId>,
     network: Network,
 }
@@ -40,12 +40,12 @@ impl Ensemble {
     ///
     /// # Errors
     /// Fewer than two members (no covariance), no action dimension, or frames of a size that the convolutions do not support.
-    pub fn new(architecture: Architecture, stream: &mut StreamRng) -> Result<Self, StageError> {
+    pub fn new(architecture: EnsembleArchitecture, stream: &mut StreamRng) -> Result<Self, StageError> {
         Self::build(architecture, Some(stream))
     }
 
     /// With weights from the stream, or zeros.
-    fn build(architecture: Architecture, stream: Option<&mut StreamRng>) -> Result<Self, StageError> {
+    fn build(architecture: EnsembleArchitecture, stream: Option<&mut StreamRng>) -> Result<Self, StageError> {
         check(architecture)?;
         let init = LayerInit::Default;
         let mut build = Builder::new();
@@ -73,7 +73,7 @@ impl Ensemble {
     }
 
     /// The architecture.
-    pub fn architecture(&self) -> Architecture {
+    pub fn architecture(&self) -> EnsembleArchitecture {
         self.architecture
     }
 
@@ -123,8 +123,8 @@ impl Ensemble {
     }
 }
 
-fn check(architecture: Architecture) -> Result<(), StageError> {
-    let Architecture { observation, actions, members } = architecture;
+fn check(architecture: EnsembleArchitecture) -> Result<(), StageError> {
+    let EnsembleArchitecture { observation, actions, members } = architecture;
     if members < 2 {
         return Err(StageError::failed(format!(
             "an ensemble of {members} members has no covariance, expected at least 2 members"
@@ -142,13 +142,13 @@ fn check(architecture: Architecture) -> Result<(), StageError> {
 struct About {
     /// Distinguishes ensembles from policies, and this layout from later ones.
     format: String,
-    ensemble: ArchitectureV1,
+    ensemble: EnsembleArchitectureV1,
 }
 
 /// An architecture as `ensemble-v1` stores it.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct ArchitectureV1 {
+struct EnsembleArchitectureV1 {
     observation: ObservationV1,
     /// Action dimensions, or number of discrete actions.
     actions: usize,
@@ -158,17 +158,17 @@ struct ArchitectureV1 {
     choices: bool,
 }
 
-impl From<Architecture> for ArchitectureV1 {
-    fn from(architecture: Architecture) -> Self {
-        let Architecture { observation, actions, members } = architecture;
+impl From<EnsembleArchitecture> for EnsembleArchitectureV1 {
+    fn from(architecture: EnsembleArchitecture) -> Self {
+        let EnsembleArchitecture { observation, actions, members } = architecture;
         let choices = matches!(actions, ActionSpace::Discrete { .. });
         Self { observation: observation.into(), actions: actions.outputs(), members, choices }
     }
 }
 
-impl From<ArchitectureV1> for Architecture {
-    fn from(stored: ArchitectureV1) -> Self {
-        let ArchitectureV1 { observation, actions, members, choices } = stored;
+impl From<EnsembleArchitectureV1> for EnsembleArchitecture {
+    fn from(stored: EnsembleArchitectureV1) -> Self {
+        let EnsembleArchitectureV1 { observation, actions, members, choices } = stored;
         let actions = match choices {
             true => ActionSpace::Discrete { actions },
             false => ActionSpace::Continuous { dims: actions },
@@ -212,15 +212,18 @@ mod tests {
     use dril_stage_api::Seed;
 
     const ACTIONS: ActionSpace = ActionSpace::Continuous { dims: 2 };
-    const VECTORS: Architecture =
-        Architecture { observation: ObservationSpace::Vector { len: 3 }, actions: ACTIONS, members: 4 };
-    const IMAGES: Architecture = Architecture {
+    const VECTORS: EnsembleArchitecture = EnsembleArchitecture {
+        observation: ObservationSpace::Vector { len: 3 },
+        actions: ACTIONS,
+        members: 4,
+    };
+    const IMAGES: EnsembleArchitecture = EnsembleArchitecture {
         observation: ObservationSpace::Image { height: 36, width: 36, stack: 2 },
         actions: ACTIONS,
         members: 3,
     };
 
-    fn new(architecture: Architecture) -> Ensemble {
+    fn new(architecture: EnsembleArchitecture) -> Ensemble {
         Ensemble::new(architecture, &mut Seed(1).stream("init")).unwrap()
     }
 
@@ -266,7 +269,7 @@ mod tests {
 
     #[test]
     fn one_member_is_refused_with_the_reason() {
-        let lone = Architecture { members: 1, ..VECTORS };
+        let lone = EnsembleArchitecture { members: 1, ..VECTORS };
         let message = Ensemble::new(lone, &mut Seed(1).stream("init")).unwrap_err().to_string();
         assert!(message.contains("at least 2 members"), "{message}");
     }
