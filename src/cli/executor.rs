@@ -6,31 +6,65 @@ use std::sync::Arc;
 use super::args::{Executor, RunArgs};
 use crate::error::{Error, ErrorKind};
 use crate::exec::{self, ChildRunner, Failure, Options, Runner};
-use crate::settings::SlurmSettings;
-use crate::slurm::{Pace, Slurm, SlurmRunner};
+use crate::settings::{Settings, SlurmSettings};
+use crate::slurm::{Scheduler, Site, Slurm, SlurmRunner, Template};
 
-/// Threads that jobs may ask for together, unless it is set.
+/// Threads that jobs may request together, unless it is set.
 const MAX_THREADS: usize = 1000;
 
-/// Changes options to those of the executor: a cluster has more threads than this machine.
-pub(super) fn adapt(options: &mut Options, args: &RunArgs, settings: &SlurmSettings) {
-    if args.executor.executor == Executor::Slurm && args.jobs.is_none() {
+/// A cluster: its scheduler, and what jobs request.
+pub(super) type Cluster = (Arc<dyn Scheduler>, SlurmSettings);
+
+/// The cluster that the arguments name; `None` for this machine.
+///
+/// # Errors
+/// The settings have no executor of that name.
+pub(super) fn cluster(args: &RunArgs, settings: Settings) -> Result<Option<Cluster>, Error> {
+    let mut settings = settings;
+    match &args.executor.executor {
+        Executor::Local => Ok(None),
+        Executor::Slurm => Ok(Some((Arc::new(Slurm), settings.slurm))),
+        Executor::Named(name) => {
+            let Some(executor) = settings.executors.remove(name) else {
+                let known =
+                    ["local", "slurm"].into_iter().chain(settings.executors.keys().map(|name| &**name));
+                let known: Vec<String> = known.map(|name| format!("`{name}`")).collect();
+                let message = format!(
+                    "`--executor {name}`: there is no such executor, expected one of {}",
+                    known.join(", ")
+                );
+                return Err(Error::new(ErrorKind::Usage, message)
+                    .hint(format!("describe it under `[executors.{name}]` in `dril-pipe.toml`")));
+            };
+            let jobs = executor.jobs.clone();
+            Ok(Some((Arc::new(Template::new(name, executor)), jobs)))
+        }
+    }
+}
+
+/// Changes options to those of the cluster, which has more threads than this machine.
+pub(super) fn adapt(options: &mut Options, args: &RunArgs, cluster: Option<&Cluster>) {
+    if let (Some((_, settings)), None) = (cluster, args.jobs) {
         options.threads = settings.max_threads.map_or(MAX_THREADS, usize::from);
     }
 }
 
-/// The runner that the arguments ask for; `store` is the folder of the store.
+/// The runner for a cluster or this machine; `store` is the folder of the store.
 ///
 /// # Errors
 /// This program's file is unknown, or the store cannot be written.
 pub(super) fn runner(
     args: &RunArgs,
-    settings: SlurmSettings,
+    cluster: Option<Cluster>,
     store: &Path,
 ) -> Result<Box<dyn Runner>, Error> {
-    if args.executor.executor == Executor::Slurm {
-        let made = SlurmRunner::new(Arc::new(Slurm), settings, store, args.executor.detach, Pace::default());
-        let runner = made.map_err(|error| match error {
+    let unknown = |error: std::io::Error| {
+        Error::new(ErrorKind::Io, format!("cannot find the path of this executable: {error}"))
+    };
+    if let Some((scheduler, settings)) = cluster {
+        let mut site = Site::new(store).map_err(unknown)?;
+        site.detach = args.executor.detach;
+        let runner = SlurmRunner::new(scheduler, settings, site).map_err(|error| match error {
             Failure::Store(error) => error.into(),
             error => Error::new(ErrorKind::Io, error),
         })?;
@@ -38,8 +72,5 @@ pub(super) fn runner(
     }
     // While it runs stages, this program starts no other processes.
     exec::claim_all_children();
-    let runner = ChildRunner::this_program().map_err(|error| {
-        Error::new(ErrorKind::Io, format!("cannot find the path of this executable: {error}"))
-    })?;
-    Ok(Box::new(runner))
+    Ok(Box::new(ChildRunner::this_program().map_err(unknown)?))
 }

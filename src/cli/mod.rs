@@ -75,7 +75,7 @@ pub fn run_with(
         && (name == slurm::NODE || name == slurm::PILOT)
     {
         let run = if name == slurm::NODE { slurm::run_on_node } else { slurm::run_pilot };
-        let job = std::env::var("SLURM_JOB_ID").unwrap_or_default();
+        let job = std::env::var(slurm::JOB).or_else(|_| std::env::var("SLURM_JOB_ID")).unwrap_or_default();
         return run(Path::new(folder), &job, &registry);
     }
     if let [_, name] = &*args

@@ -2,12 +2,16 @@
 //! `dril-pipe.toml` beside the pipeline file and in the user's configuration folder. No setting enters a key, so none of
 //! them changes a result.
 
+mod executors;
 mod slurm;
 
+use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+pub use executors::{ExecutorSettings, StateNames};
+pub(crate) use executors::{Part, parts, placeholders};
 use serde::{Deserialize, Deserializer, de};
 pub use slurm::{JobSettings, SlurmSettings};
 
@@ -23,8 +27,11 @@ pub const FILE: &str = "dril-pipe.toml";
 pub struct Settings {
     /// The shared cache.
     pub remote: RemoteSettings,
-    /// The cluster.
+    /// Slurm.
     pub slurm: SlurmSettings,
+    /// Other schedulers, by name.
+    #[serde(deserialize_with = "executors::executors")]
+    pub executors: BTreeMap<String, ExecutorSettings>,
 }
 
 /// A shared cache.
@@ -135,6 +142,10 @@ impl Settings {
     /// Takes over what is not set yet.
     fn fill_from(&mut self, other: Self) {
         self.slurm.fill_from(other.slurm);
+        // The commands of an executor belong together.
+        for (name, executor) in other.executors {
+            self.executors.entry(name).or_insert(executor);
+        }
         let (mine, theirs) = (&mut self.remote, other.remote);
         // How to reach a cache belongs to its URL: an endpoint for another bucket would be a wrong one.
         if mine.url.is_none() {

@@ -1,4 +1,4 @@
-//! How jobs reach a Slurm cluster.
+//! What the jobs of a cluster request, and which stages they run.
 
 use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
@@ -90,6 +90,18 @@ impl SlurmSettings {
 }
 
 impl JobSettings {
+    /// True where a value of this name is set, of those that a command may need.
+    pub(super) fn has(&self, name: &str) -> bool {
+        match name {
+            "memory" => self.memory.is_some(),
+            "time" => self.time.is_some(),
+            "partition" => self.partition.is_some(),
+            "account" => self.account.is_some(),
+            "qos" => self.qos.is_some(),
+            _ => false,
+        }
+    }
+
     fn fill_from(&mut self, other: &Self) {
         let text = |mine: &mut Option<String>, theirs: &Option<String>| {
             *mine = mine.take().or_else(|| theirs.clone());

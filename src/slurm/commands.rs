@@ -6,6 +6,7 @@ use std::io::ErrorKind;
 use std::process::{Command, Output};
 use std::time::Duration;
 
+use super::prepare::OUTPUT;
 use super::scheduler::{JobId, Scheduler, Seen, State, Submission, SubmitError};
 
 /// Slurm, reached by the commands on the search path.
@@ -108,13 +109,13 @@ impl Scheduler for Slurm {
 
 /// The arguments of `sbatch`.
 fn arguments(submission: &Submission) -> Vec<String> {
-    let Submission { name, script, folder, threads, memory, time, signal, gpus, extra } = submission;
-    let folder = folder.display();
+    let Submission { name, script, folder, threads, memory, time, signal, gpus, .. } = submission;
+    let output = folder.join(OUTPUT);
     let mut all = vec![
         "--parsable".to_owned(),
         format!("--job-name={name}"),
-        format!("--chdir={folder}"),
-        format!("--output={folder}/slurm.out"),
+        format!("--chdir={}", folder.display()),
+        format!("--output={}", output.display()),
         "--open-mode=append".to_owned(),
         "--requeue".to_owned(),
         "--nodes=1".to_owned(),
@@ -126,6 +127,10 @@ fn arguments(submission: &Submission) -> Vec<String> {
     all.extend(time.map(|time| format!("--time={}", minutes(time))));
     if *gpus > 0 {
         all.push(format!("--gres=gpu:{gpus}"));
+    }
+    let Submission { partition, account, qos, extra, .. } = submission;
+    for (option, value) in [("partition", partition), ("account", account), ("qos", qos)] {
+        all.extend(value.as_ref().map(|value| format!("--{option}={value}")));
     }
     all.extend(extra.iter().cloned());
     all.push(script.display().to_string());
@@ -232,7 +237,10 @@ mod tests {
             time: Some(Duration::from_secs(61)),
             signal: Duration::from_secs(60),
             gpus: 2,
-            extra: vec!["--partition=p".into()],
+            partition: Some("p".into()),
+            account: None,
+            qos: None,
+            extra: vec!["--exclusive".into()],
         };
         let arguments = arguments(&submission).join(" ");
         for expected in [
@@ -241,7 +249,7 @@ mod tests {
             "--time=2 ",
             "--signal=B:USR1@60",
             "--gres=gpu:2",
-            "--partition=p /s/job.sh",
+            "--partition=p --exclusive /s/job.sh",
         ] {
             assert!(arguments.contains(expected), "{arguments}");
         }

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use dril_stage_api::Message;
 
 use super::handoff::{Ended, Home, How};
+use super::prepare::OUTPUT;
 use super::scheduler::JobId;
 use crate::exec::{Exit, Failure, Launch};
 use crate::fsx;
@@ -51,7 +52,7 @@ impl Endings {
                  more `memory`"
             ))),
             // Its time was over before the stage could stop, or it was lost with its node.
-            _ if *lost < LOST && word != "FAILED" => {
+            _ if *lost < patience(home, word)? && word != "FAILED" => {
                 *lost += 1;
                 Ok(None)
             }
@@ -154,9 +155,15 @@ impl Endings {
         Ok(())
     }
 }
+/// How often a lost job is submitted again. One that did not begin, for no known reason, probably will not the next time.
+fn patience(home: &Home, word: &str) -> Result<u32, Failure> {
+    let is_the_nodes_fault = ["BOOT_FAIL", "NODE_FAIL", "PREEMPTED", "TIMEOUT"].contains(&word);
+    Ok(if is_the_nodes_fault || home.claimed_by()?.is_some() { LOST } else { 1 })
+}
+
 /// The last lines of the job's output, for a job that could not begin its stage.
 fn last_lines(home: &Home) -> String {
-    match fsx::tail(&home.path("slurm.out"), 5, 300) {
+    match fsx::tail(&home.path(OUTPUT), 5, 300) {
         Ok(lines) if !lines.is_empty() => format!(": {}", lines.join("; ")),
         _ => String::new(),
     }

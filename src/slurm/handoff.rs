@@ -43,6 +43,9 @@ pub(super) struct Handoff {
     timeout: Option<f64>,
     memory: Option<u64>,
     grace: f64,
+    /// Seconds after which a job of its own stops by itself.
+    #[serde(default)]
+    pub stop_after: Option<f64>,
 }
 
 /// The name and number of the job that was submitted last.
@@ -97,6 +100,7 @@ impl Handoff {
             timeout: limits.timeout.map(|time| time.as_secs_f64()),
             memory: limits.memory,
             grace: grace.as_secs_f64(),
+            stop_after: None,
         }
     }
 

@@ -15,13 +15,17 @@ mod prepare;
 mod queue;
 mod runner;
 mod scheduler;
+mod site;
 mod submit;
+mod template;
 mod threads;
 mod watch;
 
 pub use commands::Slurm;
 pub use node::{NODE, run_on_node};
 pub use pilot::{PILOT, run_pilot};
+pub use prepare::JOB;
 pub use runner::SlurmRunner;
 pub use scheduler::{JobId, Scheduler, Seen, State, Submission, SubmitError};
-pub use watch::Pace;
+pub use site::{Pace, Site};
+pub use template::Template;

@@ -18,7 +18,7 @@ use crate::fsx;
 pub const NODE: &str = "__node";
 
 /// A scheduler that stops a job signals all its processes, and the stage may end before this one is signalled.
-const SIGNALLED: Duration = Duration::from_millis(100);
+const SIGNALLED: Duration = Duration::from_millis(500);
 
 /// How often a node writes how far its stage is.
 const PROGRESS: Duration = Duration::from_secs(5);
@@ -29,7 +29,11 @@ const PROGRESS: Duration = Duration::from_secs(5);
 /// should run again, or nothing could be written.
 pub fn run_on_node(folder: &Path, job: &str, registry: &Registry) -> ExitCode {
     let home = Home::new(folder.to_owned());
-    match Node::new(job, registry).run(&home) {
+    let node = Node::new(job, registry);
+    if let Ok(Some(Handoff { stop_after: Some(seconds), .. })) = home.handoff() {
+        node.stop_after(seconds);
+    }
+    match node.run(&home) {
         Ok(Some(ended)) => match report(&home, &ended) {
             Ok(()) => ExitCode::SUCCESS,
             // Only the scheduler can still be notified.
@@ -69,6 +73,16 @@ impl<'a> Node<'a> {
         Self { job, name, registry, runner: ChildRunner::this_program(), stop, late }
     }
 
+    /// Stops by itself after some seconds, as if the scheduler had signalled the end of its time.
+    pub fn stop_after(&self, seconds: f64) {
+        let (stop, late) = (Arc::clone(&self.stop), Arc::clone(&self.late));
+        std::thread::spawn(move || {
+            std::thread::sleep(Duration::try_from_secs_f64(seconds).unwrap_or(Duration::MAX));
+            late.store(true, Ordering::SeqCst);
+            stop.store(true, Ordering::SeqCst);
+        });
+    }
+
     /// True once the job was asked to stop.
     pub fn is_stopping(&self) -> bool {
         self.stop.load(Ordering::SeqCst)
@@ -98,6 +112,11 @@ impl<'a> Node<'a> {
             // The job was started again after its end.
             Ok(Some(_)) => return Ok(None),
             Err(error) => return failed(&error),
+        }
+        if self.job.is_empty() {
+            return failed(
+                &"its job does not know its ID: set `job_variable` of its executor in `dril-pipe.toml`",
+            );
         }
         match claim(home, self.job) {
             Ok(true) => {}

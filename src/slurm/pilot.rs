@@ -38,6 +38,9 @@ fn work(folder: &PilotFolder, job: &str, registry: &Registry) -> fsx::Result<()>
     let pilots = folder.0.parent().unwrap_or(&folder.0);
     let queue = Queue::new(pilots, &orders.class);
     let node = Node::new(job, registry);
+    if let Some(seconds) = orders.stop_after {
+        node.stop_after(seconds);
+    }
     // A job that was requeued finds the stage that it ran.
     for entry in folder.taken()? {
         run(&node, folder, &queue, &orders, &entry)?;

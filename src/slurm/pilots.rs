@@ -2,15 +2,17 @@
 //! when the run ends. Pilots outlive their engine; the next one, and every other engine on the same store, uses them too.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use super::handoff::{Ended, Home, How};
+use super::pilot::PILOT;
 use super::prepare::{self, Wanted};
 use super::queue::{Entry, Orders, PILOTS, PilotFolder, Queue};
 use super::scheduler::{JobId, Seen, State as JobState};
+use super::site::Site;
 use super::submit::Submitter;
 use crate::exec::Failure;
 use crate::fsx;
@@ -85,25 +87,24 @@ impl Pilots {
     pub fn new(
         submitter: &Arc<Submitter>,
         settings: &SlurmSettings,
-        program: &Path,
-        store: &Path,
-        jobs: &Path,
+        site: &Site,
     ) -> fsx::Result<Option<Arc<Self>>> {
         let Some(count) = settings.pilots.filter(|count| *count > 0) else { return Ok(None) };
-        let root = store.join(PILOTS);
+        let root = site.store.join(PILOTS);
+        let stop_after = prepare::stop_after(&*submitter.scheduler, settings.all.time, &settings.all);
         let idle = settings.pilot_idle.unwrap_or(IDLE).as_secs_f64();
-        let what = format!("{:?} {} {}", settings.all, program.display(), env!("CARGO_PKG_VERSION"));
+        let what = format!("{:?} {} {}", settings.all, site.program.display(), env!("CARGO_PKG_VERSION"));
         let class = Digest::of(what.as_bytes()).short();
         let queue = Queue::new(&root, &class);
         queue.create()?;
         let pilots = Self {
             submitter: Arc::clone(submitter),
-            orders: Orders::new(class, jobs.to_owned(), idle),
+            orders: Orders::new(class, site.jobs(), idle, stop_after),
             queue,
             root,
-            jobs: jobs.to_owned(),
+            jobs: site.jobs(),
             settings: settings.all.clone(),
-            program: program.to_owned(),
+            program: site.program.clone(),
             count,
             state: Mutex::default(),
             changed: Condvar::new(),
@@ -305,7 +306,8 @@ impl Pilots {
         let unique = home.folder.file_name().unwrap_or_default().to_string_lossy();
         let name = format!("dril-{unique}");
         let submission = prepare::submission(name, &home, &self.settings, &self.resources());
-        let script = prepare::script(&self.program, super::pilot::PILOT, &folder.0, &self.settings);
+        let job = self.submitter.scheduler.job_in_shell();
+        let script = prepare::script(&self.program, PILOT, &folder.0, &self.settings, job);
         fsx::write(&submission.script, script.as_bytes())?;
         let job = self.submitter.submit(&home, &submission, &|| self.lock().closing)?;
         match job {

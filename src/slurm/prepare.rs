@@ -6,24 +6,49 @@ use std::time::Duration;
 use dril_stage_api::Job;
 
 use super::handoff::Home;
-use super::scheduler::Submission;
+use super::scheduler::{Scheduler, Submission};
 use crate::exec::Launch;
 use crate::settings::JobSettings;
 
 /// How long before the end of its time a job gets the signal to stop, unless it is set.
 pub(super) const SIGNAL: Duration = Duration::from_secs(60);
 
-/// The script of a job: `program argument folder` after the user's own lines.
-pub(super) fn script(program: &Path, argument: &str, folder: &Path, settings: &JobSettings) -> String {
+/// The environment variable with the ID of a job, where that is not `SLURM_JOB_ID`.
+pub const JOB: &str = "DRIL_PIPE_JOB";
+
+/// The name of the file with the output of a job's script, in the job's folder.
+pub(super) const OUTPUT: &str = "job.out";
+
+/// The script of a job: `program argument folder` after the user's own lines. `job` is how the shell finds the job's ID.
+pub(super) fn script(
+    program: &Path,
+    argument: &str,
+    folder: &Path,
+    settings: &JobSettings,
+    job: Option<String>,
+) -> String {
     let setup = settings.setup.iter().flatten().fold(String::new(), |text, line| text + line + "\n");
-    // Slurm signals the script's process, so the program must replace it.
-    let (program, folder) = (quoted(program), quoted(folder));
-    format!("#!/bin/bash\n{setup}exec {program} {argument} {folder}\n")
+    // Commands that list jobs may shorten `12.server`.
+    let job =
+        job.map_or_else(String::new, |job| format!("{JOB}=\"{job}\"\nexport {JOB}=\"${{{JOB}%%.*}}\"\n"));
+    // The scheduler signals the script's process, so the program must replace it.
+    let (program, folder) = (quoted(&program.to_string_lossy()), quoted(&folder.to_string_lossy()));
+    format!("#!/bin/bash\n{setup}{job}exec {program} {argument} {folder}\n")
 }
 
 /// The name of a stage, without what it is an instance of: `dril` of `dril[policy=beta]`.
 pub(super) fn name_of(stage: &str) -> &str {
     stage.split('[').next().unwrap_or(stage)
+}
+
+/// How long a job may run until it stops by itself, where the scheduler sends no signal before the end of its time.
+pub(super) fn stop_after(
+    scheduler: &dyn Scheduler,
+    submission_time: Option<Duration>,
+    settings: &JobSettings,
+) -> Option<f64> {
+    let time = submission_time.filter(|_| !scheduler.signals_before_the_end())?;
+    Some(time.saturating_sub(settings.signal.unwrap_or(SIGNAL)).as_secs_f64())
 }
 
 /// The resources that a job requests.
@@ -52,15 +77,6 @@ impl Wanted {
 
 /// The job for a folder with a script.
 pub(super) fn submission(name: String, home: &Home, settings: &JobSettings, wanted: &Wanted) -> Submission {
-    let option =
-        |option: &str, value: &Option<String>| value.as_ref().map(|value| format!("--{option}={value}"));
-    let options = [
-        option("partition", &settings.partition),
-        option("account", &settings.account),
-        option("qos", &settings.qos),
-    ];
-    let mut extra: Vec<String> = options.into_iter().flatten().collect();
-    extra.extend(settings.extra.iter().flatten().cloned());
     let Wanted { threads, memory, time, gpus } = *wanted;
     Submission {
         name,
@@ -71,7 +87,10 @@ pub(super) fn submission(name: String, home: &Home, settings: &JobSettings, want
         time,
         signal: settings.signal.unwrap_or(SIGNAL),
         gpus,
-        extra,
+        partition: settings.partition.clone(),
+        account: settings.account.clone(),
+        qos: settings.qos.clone(),
+        extra: settings.extra.clone().unwrap_or_default(),
     }
 }
 
@@ -89,6 +108,6 @@ pub(super) fn moved(job: &Job, from: &Path, to: &Path) -> Job {
 }
 
 /// In single quotes, for a shell.
-fn quoted(path: &Path) -> String {
-    format!("'{}'", path.to_string_lossy().replace('\'', "'\\''"))
+pub(super) fn quoted(text: &str) -> String {
+    format!("'{}'", text.replace('\'', "'\\''"))
 }

@@ -37,11 +37,13 @@ pub(super) struct Orders {
     pub jobs: PathBuf,
     /// Seconds without a stage after which it ends.
     pub idle: f64,
+    /// Seconds after which it stops by itself.
+    pub stop_after: Option<f64>,
 }
 
 impl Orders {
-    pub fn new(class: String, jobs: PathBuf, idle: f64) -> Self {
-        Self { version: VERSION, class, jobs, idle }
+    pub fn new(class: String, jobs: PathBuf, idle: f64, stop_after: Option<f64>) -> Self {
+        Self { version: VERSION, class, jobs, idle, stop_after }
     }
 }
 
@@ -218,7 +220,7 @@ mod tests {
         queue.create().unwrap();
         let pilots = ["pilot-1", "pilot-2"].map(|name| PilotFolder(root.path().join(name)));
         for pilot in &pilots {
-            pilot.create(&Orders::new("c".to_owned(), root.path().to_owned(), 1.0)).unwrap();
+            pilot.create(&Orders::new("c".to_owned(), root.path().to_owned(), 1.0, None)).unwrap();
         }
         let entries = ["b", "a", "c"].map(|key| queue.put(key).unwrap());
         assert_eq!(queue.list().unwrap(), entries);
@@ -239,7 +241,7 @@ mod tests {
         let queue = Queue::new(root.path(), "c");
         queue.create().unwrap();
         let pilot = PilotFolder(root.path().join("pilot-1"));
-        pilot.create(&Orders::new("c".to_owned(), root.path().to_owned(), 1.0)).unwrap();
+        pilot.create(&Orders::new("c".to_owned(), root.path().to_owned(), 1.0, None)).unwrap();
         let (first, second) = (queue.put("a").unwrap(), queue.put("b").unwrap());
         assert!(pilot.take(&queue, &first).unwrap());
         let aside = pilot.retire().unwrap().unwrap();

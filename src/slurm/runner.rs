@@ -1,6 +1,6 @@
 //! Runs each stage as a job of its own or in a pilot. Light stages run beside the engine.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
@@ -12,11 +12,12 @@ use super::ending::Endings;
 use super::handoff::{Ended, Handoff, Home, How, Submitted, notices};
 use super::node::NODE;
 use super::pilots::{Offer, Pilots, Tending};
-use super::prepare::{SIGNAL, Wanted, moved, name_of, script, submission};
+use super::prepare::{SIGNAL, Wanted, moved, name_of, script, stop_after, submission};
 use super::scheduler::{JobId, Scheduler};
+use super::site::Site;
 use super::submit::{Submitter, WAIT};
 use super::threads::Threads;
-use super::watch::{News, Pace, Place, Watch};
+use super::watch::{News, Place, Watch};
 use crate::exec::{ChildRunner, Exit, Failure, Launch, Runner};
 use crate::fsx;
 use crate::settings::{JobSettings, SlurmSettings};
@@ -27,15 +28,12 @@ const PROGRESS: Duration = Duration::from_secs(5);
 /// Runs stages on a cluster.
 pub struct SlurmRunner {
     settings: SlurmSettings,
-    /// This program, as nodes see it.
-    program: PathBuf,
+    site: Site,
     /// For stages that run beside the engine.
     local: ChildRunner,
     local_threads: Threads,
     submitter: Arc<Submitter>,
     endings: Endings,
-    /// Jobs stay when the run is stopped.
-    detach: bool,
     cluster: Cluster,
 }
 
@@ -78,31 +76,23 @@ struct History {
 }
 
 impl SlurmRunner {
-    /// A runner for the store in `store`, a folder that nodes see under the same path.
+    /// A runner for the jobs of a site.
     ///
     /// # Errors
-    /// This program's file is unknown, or the store cannot be written.
-    pub fn new(
-        scheduler: Arc<dyn Scheduler>,
-        settings: SlurmSettings,
-        store: &Path,
-        detach: bool,
-        pace: Pace,
-    ) -> Result<Self, Failure> {
-        let jobs = store.join("slurm-v1");
+    /// The store cannot be written.
+    pub fn new(scheduler: Arc<dyn Scheduler>, settings: SlurmSettings, site: Site) -> Result<Self, Failure> {
+        let jobs = site.jobs();
         fsx::create_dir_all(&notices(&jobs))?;
-        let program = std::env::current_exe()?;
         let endings = Endings { scheduler: scheduler.name().to_owned(), jobs };
         let submitter = Arc::new(Submitter::new(scheduler));
         Ok(Self {
-            cluster: Cluster::start(&submitter, &settings, &program, store, &endings.jobs, pace, detach)?,
+            cluster: Cluster::start(&submitter, &settings, &site)?,
             settings,
-            program,
-            local: ChildRunner::this_program()?,
+            local: ChildRunner::new(site.program.clone(), ["__stage".into()]),
+            site,
             local_threads: Threads::of_this_machine(),
             submitter,
             endings,
-            detach,
         })
     }
 
@@ -159,6 +149,10 @@ impl SlurmRunner {
                             continue;
                         }
                         Waited::Gone { job, word, node } => {
+                            // One that saved more than before was not lost in vain.
+                            if self.endings.saved_more(launch, &mut history.saved)? {
+                                history.lost = 0;
+                            }
                             if of_another.take().is_none_or(|other| other != job) {
                                 running = self
                                     .endings
@@ -240,7 +234,9 @@ impl SlurmRunner {
         }
         let job = moved(launch.job, launch.folder, &home.folder);
         let threads = settings.threads.map_or(launch.threads, usize::from);
-        let handoff = Handoff::new(job, launch.log, threads, launch.units, &launch.limits, launch.grace);
+        let mut handoff = Handoff::new(job, launch.log, threads, launch.units, &launch.limits, launch.grace);
+        let time = Wanted::of(launch, settings).time;
+        handoff.stop_after = stop_after(&*self.submitter.scheduler, time, settings);
         Ok(home.write("handoff.json", &handoff)?)
     }
 
@@ -264,7 +260,8 @@ impl SlurmRunner {
             fsx::remove_file(&home.path("submitted.json"))?;
             return Ok(Some(Running::Pilots(pilots.offer(key)?)));
         }
-        let text = script(&self.program, NODE, &home.folder, settings);
+        let job = self.submitter.scheduler.job_in_shell();
+        let text = script(&self.site.program, NODE, &home.folder, settings, job);
         fsx::write_atomic(&home.path("job.sh"), text.as_bytes())?;
         let submission = submission(self.submitter.name(key), home, settings, &wanted);
         Ok(self.submitter.submit(home, &submission, &|| stopping(launch))?.map(Running::Job))
@@ -305,7 +302,7 @@ impl SlurmRunner {
                 }
             }
             if stopping(launch) && !asked {
-                if self.detach {
+                if self.site.detach {
                     return Ok(Waited::Left);
                 }
                 asked = true;
@@ -330,19 +327,11 @@ impl SlurmRunner {
 }
 
 impl Cluster {
-    fn start(
-        submitter: &Arc<Submitter>,
-        settings: &SlurmSettings,
-        program: &Path,
-        store: &Path,
-        jobs: &Path,
-        pace: Pace,
-        detach: bool,
-    ) -> Result<Self, Failure> {
-        let pilots = Pilots::new(submitter, settings, program, store, jobs)?;
+    fn start(submitter: &Arc<Submitter>, settings: &SlurmSettings, site: &Site) -> Result<Self, Failure> {
+        let pilots = Pilots::new(submitter, settings, site)?;
         let scheduler = Arc::clone(&submitter.scheduler);
-        let watch = Watch::start(scheduler, notices(jobs), pilots.clone(), pace)?;
-        let tending = pilots.clone().map(|pilots| Tending::start(pilots, detach)).transpose()?;
+        let watch = Watch::start(scheduler, notices(&site.jobs()), pilots.clone(), site.pace)?;
+        let tending = pilots.clone().map(|pilots| Tending::start(pilots, site.detach)).transpose()?;
         Ok(Self { watch, pilots, _tending: tending })
     }
 }

@@ -1,5 +1,5 @@
-//! What the engine needs from a scheduler: to submit jobs, to list them, and to stop some. `commands` calls Slurm, the
-//! tests have a simulated cluster.
+//! What the engine needs from a scheduler: to submit jobs, to list them, and to stop some. `commands` calls Slurm,
+//! `template` other schedulers, and the tests have a simulated cluster.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -27,7 +27,13 @@ pub struct Submission {
     pub signal: Duration,
     /// GPUs that it needs.
     pub gpus: usize,
-    /// `--partition`, `--account` and `--qos`, and the user's own arguments.
+    /// The partition or queue; `None` for the default.
+    pub partition: Option<String>,
+    /// The account that is charged; `None` for the default.
+    pub account: Option<String>,
+    /// The quality of service; `None` for the default.
+    pub qos: Option<String>,
+    /// Further arguments of the submission command.
     pub extra: Vec<String>,
 }
 
@@ -41,6 +47,9 @@ pub enum SubmitError {
     /// The scheduler will never accept it.
     #[error("{0}")]
     Refused(String),
+    /// The message means neither for certain.
+    #[error("{0}")]
+    Unclear(String),
 }
 
 /// A job in the scheduler's list.
@@ -67,6 +76,17 @@ pub enum State {
 pub trait Scheduler: Send + Sync {
     /// Its name in messages, as `Slurm`.
     fn name(&self) -> &str;
+
+    /// How the shell of a job finds the job's ID, where that is not `$SLURM_JOB_ID`.
+    fn job_in_shell(&self) -> Option<String> {
+        None
+    }
+
+    /// True where it sends SIGUSR1 to the script of a job [`Submission::signal`] before the end of its time. Otherwise the
+    /// script has a timer.
+    fn signals_before_the_end(&self) -> bool {
+        true
+    }
 
     /// Checks that it can be used at all.
     ///

@@ -13,6 +13,8 @@ use crate::exec::Failure;
 pub(super) const WAIT: Duration = Duration::from_millis(250);
 /// How long a scheduler may be busy or away until a submission fails.
 const PATIENCE: Duration = Duration::from_secs(3600);
+/// How long an attempt is repeated whose error means nothing certain.
+const DOUBT: Duration = Duration::from_secs(120);
 /// The longest pause between two attempts.
 const LONGEST_PAUSE: Duration = Duration::from_secs(30);
 
@@ -59,14 +61,14 @@ impl Submitter {
             };
             match answer {
                 Ok(job) => break job,
-                Err(SubmitError::Refused(error)) => {
-                    let scheduler = self.scheduler.name();
-                    return Err(Failure::Stage(format!("{scheduler} refuses its job: {error}")));
+                Err(SubmitError::Refused(error)) => return Err(self.refused(&error)),
+                Err(SubmitError::Unclear(error)) if began.elapsed() > DOUBT => {
+                    return Err(self.refused(&error));
                 }
                 Err(SubmitError::Busy(error)) if began.elapsed() > PATIENCE => {
                     return Err(self.unreachable(&error));
                 }
-                Err(SubmitError::Busy(_)) => {}
+                Err(SubmitError::Busy(_) | SubmitError::Unclear(_)) => {}
             }
             if !sleep(pause, stopping) {
                 return Ok(None);
@@ -91,6 +93,10 @@ impl Submitter {
                 Err(_) => std::thread::sleep(Duration::from_secs(1)),
             }
         }
+    }
+
+    fn refused(&self, error: &str) -> Failure {
+        Failure::Stage(format!("{} refuses its job: {error}", self.scheduler.name()))
     }
 
     fn unreachable(&self, error: &str) -> Failure {

@@ -14,29 +14,8 @@ use super::handoff::Home;
 use super::pilots::Pilots;
 use super::queue::Entry;
 use super::scheduler::{JobId, Scheduler, Seen, State};
+use super::site::Pace;
 use crate::fsx;
-
-/// The intervals of the watch; tests use shorter ones.
-#[derive(Clone, Copy, Debug)]
-pub struct Pace {
-    /// How often the folder of notices is polled.
-    pub look: Duration,
-    /// How often the scheduler lists the jobs, at most.
-    pub ask: Duration,
-    /// How long after a job's end its files may take to become visible here.
-    pub settle: Duration,
-}
-
-impl Default for Pace {
-    fn default() -> Self {
-        Self {
-            look: Duration::from_millis(20),
-            ask: Duration::from_secs(10),
-            // A network file system may show a folder as it was half a minute ago.
-            settle: Duration::from_secs(60),
-        }
-    }
-}
 
 /// What happened to a stage.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -126,6 +105,8 @@ struct Stage {
     /// When its job is cancelled.
     cancel: Option<Instant>,
     to_stop: bool,
+    /// It was asked to stop.
+    stopping: bool,
 }
 
 struct Watching {
@@ -164,12 +145,14 @@ impl Watching {
             Order::Watch(place, home, news) => {
                 self.asked.get_or_insert_with(Instant::now);
                 let folder = home.folder.clone();
-                let stage = Stage { place, home, news, over: None, cancel: None, to_stop: false };
+                let stage =
+                    Stage { place, home, news, over: None, cancel: None, to_stop: false, stopping: false };
                 self.stages.insert(folder, stage);
             }
             Order::Stop(folder, grace) => {
                 if let Some(stage) = self.stages.get_mut(&folder) {
                     stage.to_stop = true;
+                    stage.stopping = true;
                     stage.cancel = Some(Instant::now() + grace);
                 }
             }
@@ -255,7 +238,10 @@ impl Watching {
 
     /// Lists the jobs, and notes those that are over.
     fn ask(&mut self) {
-        let due = self.soon || self.asked.is_some_and(|asked| asked.elapsed() >= self.pace.ask);
+        // A run that is stopped waits for the end of its jobs.
+        let stopping = self.stages.values().any(|stage| stage.stopping);
+        let pause = if stopping { self.pace.ask / 10 } else { self.pace.ask };
+        let due = self.soon || self.asked.is_some_and(|asked| asked.elapsed() >= pause);
         if self.stages.is_empty() || !due {
             return;
         }
@@ -311,7 +297,9 @@ impl Watching {
                 return false;
             }
             let seen = Seen { state: State::Over(word.clone()), node: node.clone() };
-            if since.elapsed() < settle(&seen, &pace) {
+            // At worst, the next run does again what a stage finished while it was stopped.
+            let wait = if stage.stopping { pace.settle / 20 } else { settle(&seen, &pace) };
+            if since.elapsed() < wait {
                 return true;
             }
             let _ = stage.news.send(News::Gone(word.clone(), node.clone()));

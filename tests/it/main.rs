@@ -20,6 +20,7 @@ mod editors;
 mod ends;
 mod examples;
 mod exec_order;
+mod executors;
 mod fakes;
 mod hostile;
 mod import;

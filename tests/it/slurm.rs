@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use dril_pipe::exec::Options;
 use dril_pipe::settings::SlurmSettings;
-use dril_pipe::slurm::{JobId, Pace, Scheduler, Seen, SlurmRunner, State, Submission, SubmitError};
+use dril_pipe::slurm::{JobId, Pace, Scheduler, Seen, Site, SlurmRunner, State, Submission, SubmitError};
 use serde_json::{Value, json};
 
 use crate::lab::{Lab, Ran};
@@ -186,7 +186,8 @@ fn run_with(cluster: &Arc<Simulated>, count: usize, settings: SlurmSettings) -> 
         settle: Duration::from_millis(100),
     };
     let scheduler: Arc<dyn Scheduler> = Arc::<Simulated>::clone(cluster);
-    let runner = SlurmRunner::new(scheduler, settings, lab.store.root(), false, pace).unwrap();
+    let site = Site { pace, ..Site::new(lab.store.root()).unwrap() };
+    let runner = SlurmRunner::new(scheduler, settings, site).unwrap();
     let stages: Vec<StageLine> = (0..count)
         .map(|number| StageLine::new(&format!("s{number}"), "emit", json!({ "text": number.to_string() })))
         .collect();

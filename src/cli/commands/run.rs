@@ -17,9 +17,9 @@ use crate::session::{LockMode, UpToDate};
 
 pub(in crate::cli) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Error> {
     let began = Instant::now();
-    let slurm = shared::settings(Some(&args.pipeline.file))?.slurm;
+    let cluster = executor::cluster(args, shared::settings(Some(&args.pipeline.file))?)?;
     let mut options = options(args, began)?;
-    executor::adapt(&mut options, args, &slurm);
+    executor::adapt(&mut options, args, cluster.as_ref());
     let session = pipeline::session(&args.pipeline, &args.store, registry)?
         .selection(args.select.selection())
         .lock(lock_mode(args))
@@ -51,7 +51,7 @@ pub(in crate::cli) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCo
     let prepared = loaded.prepare(plan)?;
     let mut reporter = report::choose(args, loaded.graph());
     reporter.planned(prepared.plan(), options.threads);
-    let runner = executor::runner(args, slurm, session.store().root())?;
+    let runner = executor::runner(args, cluster, session.store().root())?;
     let (finished, given) = giving::beside(shared.as_ref(), session.store(), &stop, |on_event| {
         prepared.execute(&*runner, &stop, &mut |event| {
             on_event(event);
