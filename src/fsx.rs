@@ -1,10 +1,15 @@
 //! File operations with the path in every error. This is the only user of `std::fs` in the engine, so that everything that touches
 //! the disk, and the order in which it becomes durable, is in one place.
 
+mod clock;
 mod copies;
 mod dir;
 pub mod fault;
 mod folder;
+mod heartbeat;
+mod host;
+mod lease;
+mod lease_file;
 mod links;
 mod lock;
 mod tail;
@@ -22,8 +27,9 @@ pub use folder::{
     Inside, Links, Outside, Stat, What, holds_at_most, is_plain_target, nothing, outside, put, relative,
     settle_links, walk,
 };
+pub use lease_file::RUN as RUN_PATIENCE;
 pub use links::{be_a_file, link_target, real, symlink, symlink_into};
-pub use lock::Lock;
+pub use lock::{Lock, announced};
 pub use tail::tail;
 
 /// An operation failed: what was tried on which path, and the system's error.
@@ -196,6 +202,17 @@ pub fn create_dir_all(path: &Path) -> Result<()> {
     std::fs::create_dir_all(path).map_err(FsError::at("create the folder", path))
 }
 
+/// Makes network file systems forget what they know of a folder, which may be out of date: it is changed. Creates it where there is
+/// none.
+///
+/// # Errors
+/// It cannot be written.
+pub fn refresh(folder: &Path) -> Result<()> {
+    create_dir_all(folder)?;
+    let file = tempfile::Builder::new().prefix(".tmp-").tempfile_in(folder);
+    file.map(drop).map_err(FsError::at("write in", folder))
+}
+
 /// Removes a file; true where there was one.
 ///
 /// # Errors
@@ -272,6 +289,19 @@ pub fn sync_dir(path: &Path) -> Result<()> {
 pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
     step("write", path)?;
     write_all(&mut File::create(path).map_err(FsError::at("write", path))?, path, bytes)
+}
+
+/// Replaces the content of a file in place, without a new file; creates it where there is none. Short contents only: a reader may
+/// see half of a long one.
+///
+/// # Errors
+/// It cannot be written.
+pub fn overwrite(path: &Path, bytes: &[u8]) -> Result<()> {
+    step("write", path)?;
+    let opened = OpenOptions::new().write(true).create(true).truncate(false).open(path);
+    let mut file = opened.map_err(FsError::at("write", path))?;
+    file.write_all(bytes).map_err(FsError::at("write", path))?;
+    file.set_len(bytes.len() as u64).map_err(FsError::at("write", path))
 }
 
 /// Writes a new file and makes its content durable.

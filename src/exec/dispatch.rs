@@ -18,10 +18,9 @@ use super::options::POLL_INTERVAL;
 use super::ready::{LockWaits, Ready};
 use super::resources::Pool;
 use super::task::{Task, WorkerEvent};
-use crate::fsx::Lock;
 use crate::plan::{self, Cached, Reason, Verdict};
 use crate::resolve::StageIndex;
-use crate::store::{History, Key, Outputs, Run, StoreError};
+use crate::store::{History, Hold, Key, Outputs, Run, StoreError};
 
 /// Results that may be written to disk at the same time; a slow disk slows the run down here.
 const MAX_COMMITS: usize = 32;
@@ -53,7 +52,7 @@ pub(super) struct Dispatcher<'a, 's> {
     began: Instant,
     history: History,
     /// The lock against `gc` from the plan, until the run has its own list of what it relies on.
-    held: Option<Lock>,
+    held: Option<Hold>,
     journal: Journal<'a, 's>,
     state: Vec<State>,
     keys: Vec<Option<Key>>,
@@ -84,7 +83,7 @@ pub(super) struct Dispatcher<'a, 's> {
 impl<'a, 's> Dispatcher<'a, 's> {
     pub fn new(
         context: RunContext<'a>,
-        (history, held): (History, Option<Lock>),
+        (history, held): (History, Option<Hold>),
         began: Instant,
         sink: &'s mut dyn FnMut(&Event),
     ) -> Self {
@@ -244,13 +243,15 @@ impl<'a, 's> Dispatcher<'a, 's> {
             }
             return Ok(());
         };
-        self.elsewhere.remove(stage);
+        if self.elsewhere.remove(stage) {
+            // Another process, perhaps on another machine, has just stored it.
+            self.context.store.refresh(&key)?;
+        }
         // While we hold the lock no other process builds it, but one may have since the plan was made.
         if let Cached::Yes(outputs) = self.look_up(stage, &key)? {
             lock.remove()?;
             return self.found(stage, key, outputs);
         }
-        run.rely_on([key], [])?;
         let why = self.take_why(stage)?;
         self.twins.insert(key, Vec::new());
         self.state[stage.index()] = State::Running;
@@ -274,8 +275,25 @@ impl<'a, 's> Dispatcher<'a, 's> {
             .collect();
         let run = self.journal.open(self.context.store, self.context.options, &done)?;
         run.rely_on(done.into_iter().map(|(_, key)| *key), [])?;
+        if !self.context.store.is_undisturbed(self.held.as_ref())? {
+            // A `gc` on another machine began while results were looked up that it did not find on a list.
+            let _held = self.context.store.hold()?;
+            self.check_done()?;
+        }
         self.held = None;
         Ok(run)
+    }
+
+    /// Checks that the results that were found are still there.
+    fn check_done(&self) -> Result<(), StoreError> {
+        for (key, outputs) in self.keys.iter().zip(&self.done) {
+            if let (Some(key), Some(outputs)) = (key, outputs)
+                && (!self.context.store.has_record(key)? || self.context.store.lost(outputs)?.is_some())
+            {
+                return Err(StoreError::Collected);
+            }
+        }
+        Ok(())
     }
 
     fn handle(&mut self, event: WorkerEvent) -> Result<(), StoreError> {
@@ -303,6 +321,15 @@ impl<'a, 's> Dispatcher<'a, 's> {
                 self.ended(stage);
                 self.stopped(stage);
             }
+            WorkerEvent::TakenOver(stage) => {
+                let twins = self.ended(stage);
+                if let Some(key) = self.keys[stage.index()] {
+                    for stage in std::iter::once(stage).chain(twins) {
+                        self.state[stage.index()] = State::Pending;
+                        self.make_ready(stage, key);
+                    }
+                }
+            }
             WorkerEvent::Committed(stage, committed) => self.committed(stage, committed)?,
         }
         Ok(())
@@ -322,19 +349,17 @@ impl<'a, 's> Dispatcher<'a, 's> {
         self.ready.push(stage, self.costs[stage.index()]);
     }
 
-    /// Looks a key up; a cache hit is protected from `gc` until this run is over.
+    /// Looks a key up; its result is protected from `gc` until this run is over.
     fn look_up(&self, stage: StageIndex, key: &Key) -> Result<Cached, StoreError> {
+        let run = self.journal.run();
+        if let Some(run) = run {
+            run.rely_on([*key], [])?;
+        }
         if self.context.forced.contains(&stage) {
             return Ok(Cached::No(Some(Reason::Forced)));
         }
-        let run = self.journal.run();
         let _held = if run.is_some() { self.context.store.hold()? } else { None };
-        let cached =
-            plan::look_up(self.context.store, &self.history, &self.context.graph.stages[stage], key)?;
-        if let (Some(run), Cached::Yes(_)) = (run, &cached) {
-            run.rely_on([*key], [])?;
-        }
-        Ok(cached)
+        plan::look_up(self.context.store, &self.history, &self.context.graph.stages[stage], key)
     }
 
     fn take_why(&mut self, stage: StageIndex) -> Result<Vec<Reason>, StoreError> {

@@ -5,9 +5,8 @@ use std::sync::Arc;
 
 use super::event::RunOutcome;
 use super::resources::InsufficientResource;
-use crate::fsx::Lock;
 use crate::resolve::StageIndex;
-use crate::store::{Key, Outputs, Run, StoreError};
+use crate::store::{Hold, Key, Outputs, Run, StoreError};
 
 /// The outcome of a run.
 #[derive(Clone, Debug, Default)]
@@ -28,7 +27,7 @@ pub struct Executed {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Kept {
     pub _run: Option<Arc<Run>>,
-    pub _held: Option<Arc<Lock>>,
+    pub _held: Option<Arc<Hold>>,
 }
 
 impl Executed {

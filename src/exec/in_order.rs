@@ -42,12 +42,15 @@ impl InOrder {
                     continue;
                 }
             }
+            // Another machine may take over a stage that has started: then it waits, or turns out to be cached.
             let is_end = matches!(
                 event,
                 Event::StageFinished { .. }
                     | Event::StageFailed { .. }
                     | Event::Stopped { .. }
                     | Event::Skipped { .. }
+                    | Event::Waiting { .. }
+                    | Event::Cached { .. }
             );
             emitted.push(event);
             if is_end && self.open.remove(&stage) {
@@ -80,6 +83,8 @@ fn stage_of(event: &Event) -> Option<StageIndex> {
         | Event::StageFailed { stage, .. }
         | Event::Retrying { stage, .. }
         | Event::Stopped { stage }
+        | Event::Waiting { stage }
+        | Event::Cached { stage, .. }
         | Event::Skipped { stage, .. } => Some(*stage),
         _ => None,
     }

@@ -21,7 +21,7 @@ impl Runner for InlineRunner {
     fn run(&self, launch: &Launch<'_>, on_message: &mut dyn FnMut(Message)) -> Result<Exit, Failure> {
         let mut messages = Lines { part: Vec::new(), on_message };
         let performed = catch_unwind(AssertUnwindSafe(|| {
-            perform(launch.job, &self.registry, launch.stop, &mut messages)
+            perform(launch.job, &self.registry, launch.stop, &mut messages, None)
         }));
         match performed {
             Ok(Ok(())) => Ok(Exit::Done),

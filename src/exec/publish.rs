@@ -45,13 +45,10 @@ pub(super) fn take_outputs(
     }
     let mut outputs = Outputs::new();
     let mut blobs = Vec::with_capacity(paths.len());
-    // Until the record exists, nothing else protects the blobs from `gc`.
-    let _held = store.hold()?;
     for (output, path) in ports.outputs.iter().zip(paths) {
         let folder = output.artifact == Artifact::FOLDER;
         let executable = !folder && fsx::is_executable(&path)?;
-        let blob = if folder { store.take_folder(&path)? } else { store.take(&path)? };
-        run.rely_on([], blob.contents())?;
+        let blob = if folder { store.take_folder_for(&path, run)? } else { store.take_for(&path, run)? };
         let (digest, bytes, extension) = (blob.digest, blob.bytes, output.extension.to_owned());
         let stored = Stored { digest, bytes, extension, folder, executable };
         outputs.insert(output.name.to_owned(), stored);

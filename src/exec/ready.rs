@@ -99,9 +99,11 @@ impl LockWaits {
         }
     }
 
-    /// Removes a stage that no longer waits.
-    pub fn remove(&mut self, stage: StageIndex) {
+    /// Removes a stage that no longer waits; true where it did.
+    pub fn remove(&mut self, stage: StageIndex) -> bool {
+        let before = self.0.len();
         self.0.retain(|entry| entry.stage != stage);
+        self.0.len() < before
     }
 
     /// The stages to try now; each is returned once per [`LockWaits::note`].

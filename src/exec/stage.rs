@@ -28,7 +28,8 @@ pub fn run_stage(job_file: &Path, registry: &Registry) -> ExitCode {
     }
     let mut messages = std::io::stdout();
     // The panic message is in the log already; this sends it to the engine, too.
-    let work = AssertUnwindSafe(|| perform(&read(job_file)?, registry, &cancel, &mut messages));
+    let work =
+        AssertUnwindSafe(|| perform(&read(job_file)?, registry, &cancel, &mut messages, Some(end_group)));
     let result = catch_unwind(work).unwrap_or_else(|payload| Err(panicked(payload.as_ref())));
     match result {
         Ok(()) => ExitCode::SUCCESS,
@@ -53,7 +54,8 @@ fn read(job_file: &Path) -> Result<Job, StageError> {
         .map_err(|error| StageError::failed(format!("`{}` is not a job file: {error}", job_file.display())))
 }
 
-/// Runs a job in this thread.
+/// Runs a job in this thread. `on_loss` is called in another one once another machine, which saw no sign of life of this one for
+/// long, has taken the checkpoint over: this process must not write it any more.
 ///
 /// # Errors
 /// The job is not for this registry, or the stage fails.
@@ -62,6 +64,7 @@ pub(super) fn perform(
     registry: &Registry,
     cancel: &AtomicBool,
     messages: &mut dyn Write,
+    on_loss: Option<fn()>,
 ) -> Result<(), StageError> {
     let Some(kind) = registry.get(&job.kind) else {
         return Err(StageError::failed(format!("this executable has no stage kind `{}`", job.kind)));
@@ -74,7 +77,10 @@ pub(super) fn perform(
             job.revision
         )));
     }
-    let _lock = lock_checkpoints(&job.checkpoints).map_err(StageError::failed)?;
+    let lock = lock_checkpoints(&job.checkpoints).map_err(StageError::failed)?;
+    if let Some(end) = on_loss {
+        lock.on_loss(end);
+    }
     kind.run(&job.params, &mut Ctx::new(job, cancel, messages))
 }
 
@@ -99,8 +105,15 @@ fn die_with_the_engine() {
                     Ok(0) | Err(_) => break,
                 }
             }
-            let _ = kill_current_process_group(Signal::KILL);
-            std::process::abort();
+            end_group();
         });
     }
+}
+
+/// Ends this process and all that it started.
+fn end_group() {
+    if getpgrp() == getpid() {
+        let _ = kill_current_process_group(Signal::KILL);
+    }
+    std::process::abort();
 }

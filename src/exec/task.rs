@@ -40,6 +40,8 @@ pub(super) struct Task<'a> {
     files: Vec<&'a OutsideFile>,
     /// Inputs that are laid out in its private folder.
     placed: Vec<Placed>,
+    /// Size and time of the record that was there when the lock was taken.
+    before: Option<(u64, i128)>,
     /// Complete but for what is known only afterwards: outputs and duration.
     record: Record,
     /// Its private folder, which does not exist yet.
@@ -58,6 +60,8 @@ pub(super) enum WorkerEvent {
     Stopped(StageIndex),
     /// It failed.
     Failed(StageIndex, Failure),
+    /// This process stood still for so long that another machine has the work now: it waits for that result.
+    TakenOver(StageIndex),
     /// It failed and will be tried again after a pause.
     Retrying {
         stage: StageIndex,
@@ -93,6 +97,7 @@ impl<'a> Task<'a> {
             log: run.log(&context.log_name(stage, Some(&key))),
             job,
             placed,
+            before: fsx::stamp(&context.store.record_path(&key)),
             record: record(node, done, context),
             ports: &node.ports,
             kind: node.kind,
@@ -115,12 +120,16 @@ impl<'a> Task<'a> {
         let send = |event| drop(events.send(event));
         // A panic in a runner must not leave the dispatcher waiting forever.
         let built = catch_unwind(AssertUnwindSafe(|| self.build_with_retries(context, &send)));
-        match built.unwrap_or(Err(Failure::Panicked)) {
+        let built = built.unwrap_or(Err(Failure::Panicked));
+        // Where that cannot be found out, the store cannot be written either.
+        let taken_over = !self.lock.is_ours().unwrap_or(true);
+        match built {
+            Ok(Attempt::Built { .. }) | Err(_) if taken_over => send(WorkerEvent::TakenOver(stage)),
             Err(failure) => send(WorkerEvent::Failed(stage, failure)),
             Ok(Attempt::Stopped) => send(WorkerEvent::Stopped(stage)),
             Ok(Attempt::Built { blobs, took }) => {
                 send(WorkerEvent::Built(stage, Arc::new(self.record.outputs.clone())));
-                let committed = publish::commit(context.store, &self.key, &self.record, &blobs, &self.folder);
+                let committed = self.commit(context, &blobs);
                 send(WorkerEvent::Committed(stage, committed.map(|()| took)));
             }
         }
@@ -158,11 +167,9 @@ impl<'a> Task<'a> {
 
     fn build(&mut self, context: RunContext<'_>, send: &dyn Fn(WorkerEvent)) -> Result<Attempt, Failure> {
         for file in &self.files {
+            let inside = file.folder.iter().flat_map(|folder| folder.files().map(|(_, file)| file.digest));
+            self.run.rely_on([], inside.chain([file.digest]))?;
             let _held = context.store.hold()?;
-            self.run.rely_on([], [file.digest])?;
-            if let Some(folder) = &file.folder {
-                self.run.rely_on([], folder.files().map(|(_, file)| file.digest))?;
-            }
             publish::import(file, context.store, &self.run)?;
         }
         // An earlier stage of this run with the same key may have left it (two stages that were forced).
@@ -201,6 +208,17 @@ impl<'a> Task<'a> {
         let (outputs, blobs) = publish::take_outputs(self.ports, &self.folder, context.store, &self.run)?;
         self.record.outputs = outputs;
         Ok(Attempt::Built { blobs, took })
+    }
+
+    /// Makes the result durable, unless somebody else was first: a process that stood still just after it had checked its lock.
+    fn commit(&self, context: RunContext<'_>, blobs: &[Blob]) -> Result<(), StoreError> {
+        if fsx::stamp(&context.store.record_path(&self.key)) != self.before
+            && let Some(first) = context.store.record(&self.key)?
+            && let Some(output) = first.differing_output(&self.record)
+        {
+            return Err(StoreError::Differs(output.to_owned()));
+        }
+        publish::commit(context.store, &self.key, &self.record, blobs, &self.folder)
     }
 
     /// Names inputs in a stage's error as the pipeline file does: the stage itself knows only the paths of blobs.

@@ -1,11 +1,12 @@
 //! Fault injection for tests: every step that touches the disk can be listed, kill the process, or simulate a full disk from then
-//! on. Empty in release builds.
+//! on; and a process can act as if it ran on another machine. Empty in release builds.
 
 #[cfg(debug_assertions)]
 mod armed {
     use std::path::{Path, PathBuf};
-    use std::sync::Mutex;
     use std::sync::atomic::{AtomicU64, Ordering};
+    use std::sync::{Mutex, OnceLock};
+    use std::time::Duration;
 
     use crate::fsx::{FsError, Result};
 
@@ -39,6 +40,44 @@ mod armed {
         seen.into_iter().filter(|(_, path)| path.starts_with(root)).collect()
     }
 
+    /// Another machine, whose kernel locks are not seen by others.
+    static MACHINE: OnceLock<Machine> = OnceLock::new();
+
+    /// A machine that a test makes up.
+    #[derive(Clone, Debug)]
+    pub struct Machine {
+        /// Its name: processes with the same one are on the same machine.
+        pub name: String,
+        /// The folder of its kernel locks; `None` where the file system has none.
+        pub locks: Option<PathBuf>,
+        /// How long a lease is held without a sign of life.
+        pub patience: Duration,
+    }
+
+    /// From now on, this process acts as if it ran on that machine. Call it first.
+    pub fn run_on(machine: Machine) {
+        let _ = MACHINE.set(machine);
+    }
+
+    pub(in crate::fsx) fn host() -> Option<String> {
+        MACHINE.get().map(|machine| machine.name.clone())
+    }
+
+    pub(in crate::fsx) fn patience(usual: Duration) -> Duration {
+        MACHINE.get().map_or(usual, |machine| machine.patience)
+    }
+
+    /// The file of the kernel lock that belongs to `path`; `None` where there are no kernel locks.
+    pub(in crate::fsx) fn kernel_lock(path: &Path) -> Option<PathBuf> {
+        let Some(machine) = MACHINE.get() else { return Some(path.to_owned()) };
+        let folder = machine.locks.as_ref()?;
+        let name: String =
+            path.as_os_str().as_encoded_bytes().iter().map(|byte| format!("{byte:02x}")).collect();
+        let file = folder.join(&name[name.len().saturating_sub(200)..]);
+        let _ = std::fs::OpenOptions::new().append(true).create(true).open(&file);
+        Some(file)
+    }
+
     pub(in crate::fsx) fn step(what: &'static str, path: &Path) -> Result<()> {
         if let Ok(mut seen) = SEEN.lock()
             && let Some(seen) = seen.as_mut()
@@ -59,13 +98,27 @@ mod armed {
 }
 
 #[cfg(debug_assertions)]
-pub(super) use armed::step;
+pub use armed::{Machine, arm, fill, run_on, seen, watch};
 #[cfg(debug_assertions)]
-pub use armed::{arm, fill, seen, watch};
+pub(super) use armed::{host, kernel_lock, patience, step};
 
 /// A step that touches the disk.
 #[cfg(not(debug_assertions))]
 #[inline(always)]
 pub(super) fn step(_: &'static str, _: &std::path::Path) -> super::Result<()> {
     Ok(())
+}
+
+/// How long a lease is held without a sign of life, where it is `usual` that long.
+#[cfg(not(debug_assertions))]
+#[inline(always)]
+pub(super) fn patience(usual: std::time::Duration) -> std::time::Duration {
+    usual
+}
+
+/// The file of the kernel lock that belongs to `path`.
+#[cfg(not(debug_assertions))]
+#[inline(always)]
+pub(super) fn kernel_lock(path: &std::path::Path) -> Option<std::path::PathBuf> {
+    Some(path.to_owned())
 }

@@ -23,9 +23,9 @@ pub(crate) use order::feeding;
 pub use outside::{OutsideFile, inside};
 use serde::Serialize;
 
-use crate::fsx::{FsError, Lock};
+use crate::fsx::FsError;
 use crate::resolve::{Graph, StageIndex, StageInstance};
-use crate::store::{Digest, History, Key, Outputs, Stats, Store, StoreError};
+use crate::store::{Digest, History, Hold, Key, Outputs, Stats, Store, StoreError};
 
 /// What will happen to each stage of a graph.
 #[derive(Debug)]
@@ -41,7 +41,7 @@ pub struct Plan<'g> {
     /// The index of each stage in `steps`.
     position: Vec<usize>,
     /// Protects what the plan found from `gc` while the plan exists.
-    pub(crate) held: Option<Lock>,
+    pub(crate) held: Option<Hold>,
     /// Digests of files from outside, to be cached.
     pub(crate) stats: Stats,
     /// Stages that run even if they are cached.

@@ -189,8 +189,8 @@ impl<'a> Pull<'a> {
     /// Fetches a content that is not here.
     fn content(&self, digest: &Digest, bytes: u64, run: &Run) -> Result<(), Why> {
         let is_here = {
-            let _held = self.store.hold()?;
             run.rely_on([], [*digest])?;
+            let _held = self.store.hold()?;
             fsx::entry(&self.store.blob_path(digest)).map_err(StoreError::from)? == Some(Entry::File(bytes))
         };
         if is_here {

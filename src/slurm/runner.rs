@@ -21,6 +21,7 @@ use super::watch::{News, Place, Watch};
 use crate::exec::{ChildRunner, Exit, Failure, Launch, Runner};
 use crate::fsx;
 use crate::settings::{JobSettings, SlurmSettings};
+use crate::store::StoreError;
 
 /// How often the progress of a running job is read.
 const PROGRESS: Duration = Duration::from_secs(5);
@@ -165,6 +166,10 @@ impl SlurmRunner {
                     }
                 }
             };
+            if launch.lock.is_some_and(|lock| !lock.is_ours().unwrap_or(true)) {
+                // The job is another engine's now, with all that it made.
+                return Err(StoreError::TakenForDead.into());
+            }
             match ended.how {
                 How::Done => return self.endings.finish(&home, launch, ended, on_message),
                 How::Stopped | How::Lost(_) if stopping(launch) => return self.stopped(&home),

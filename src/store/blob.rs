@@ -43,23 +43,35 @@ pub struct Blob {
 }
 
 impl Store {
-    /// Takes `path`, a file in a private folder of this store, as a blob. The file may be moved.
+    /// Takes `path`, a file in a private folder of this store, as a blob. The file may be moved. The caller has protected the
+    /// digest from `gc` (see [`Run::rely_on`]).
     ///
     /// # Errors
     /// It cannot be read, or the store cannot be written.
     pub fn take(&self, path: &Path) -> Result<Blob, StoreError> {
-        let mut file = fsx::open(path)?;
-        if fsx::is_in_other_hands(&file, path)? {
-            // A process that has it open or linked could still write to it, so it is copied to a new file.
-            fsx::copy_atomic(path, path)?;
-            file = fsx::open(path)?;
-        }
-        let (digest, bytes) = hash(&file, path)?;
-        self.adopt(file, path, digest, bytes)
+        let draft = draft(path)?;
+        self.adopt(draft.file, path, draft.digest, draft.bytes)
+    }
+
+    /// As [`Store::take`]; protects the blob from `gc` until the end of the run, before it is in the store.
+    ///
+    /// # Errors
+    /// As [`Store::take`].
+    pub fn take_for(&self, path: &Path, run: &Run) -> Result<Blob, StoreError> {
+        let draft = draft(path)?;
+        run.rely_on([], [draft.digest])?;
+        let _held = self.hold()?;
+        self.adopt(draft.file, path, draft.digest, draft.bytes)
     }
 
     /// As [`Store::take`], for a file whose digest is known.
-    fn adopt(&self, mut file: File, path: &Path, digest: Digest, bytes: u64) -> Result<Blob, StoreError> {
+    pub(super) fn adopt(
+        &self,
+        mut file: File,
+        path: &Path,
+        digest: Digest,
+        bytes: u64,
+    ) -> Result<Blob, StoreError> {
         let target = self.blob_path(&digest);
         let mut made_folder = false;
         match same_content(&target, digest, bytes)? {
@@ -109,6 +121,27 @@ impl Store {
         let bytes = hashing.hasher.count();
         Ok(self.adopt(fsx::open(&copy)?, &copy, *digest, bytes)?.sync()?)
     }
+}
+
+/// A file that is to become a blob.
+pub(super) struct Draft {
+    file: File,
+    /// Its digest.
+    pub digest: Digest,
+    /// Its length.
+    pub bytes: u64,
+}
+
+/// Hashes `path`, a file in a private folder of a store, that nobody can change from now on.
+pub(super) fn draft(path: &Path) -> fsx::Result<Draft> {
+    let mut file = fsx::open(path)?;
+    if fsx::is_in_other_hands(&file, path)? {
+        // A process that has it open or linked could still write to it, so it is copied to a new file.
+        fsx::copy_atomic(path, path)?;
+        file = fsx::open(path)?;
+    }
+    let (digest, bytes) = hash(&file, path)?;
+    Ok(Draft { file, digest, bytes })
 }
 
 /// A file whose content is hashed as it is read.

@@ -203,19 +203,35 @@ fn entry(line: &str) -> Option<FolderEntry> {
 }
 
 impl Store {
-    /// Takes `path`, a folder in a private folder of this store, as blobs. Its files may be moved.
+    /// Takes `path`, a folder in a private folder of this store, as blobs. Its files may be moved. Protects the blobs from `gc`
+    /// until the end of the run, before they are in the store.
     ///
     /// # Errors
     /// It contains something that is neither a file nor a folder, it cannot be read, or the store cannot be written.
-    pub fn take_folder(&self, path: &Path) -> Result<Blob, StoreError> {
+    pub fn take_folder_for(&self, path: &Path, run: &Run) -> Result<Blob, StoreError> {
+        self.take_folder_after(path, |digests| run.rely_on([], digests))
+    }
+
+    /// As [`Store::take_folder_for`], without protection.
+    #[cfg(test)]
+    pub(crate) fn take_folder(&self, path: &Path) -> Result<Blob, StoreError> {
+        self.take_folder_after(path, |_| Ok(()))
+    }
+
+    /// Takes a folder after `protect` was called with the digests of the blobs.
+    fn take_folder_after(
+        &self,
+        path: &Path,
+        protect: impl FnOnce(Vec<Digest>) -> Result<(), StoreError>,
+    ) -> Result<Blob, StoreError> {
         let found = fsx::walk(path, Links::Keep, &fsx::nothing)?;
-        let taken = found.into_par_iter().map(|inside| {
+        let drafts = found.into_par_iter().map(|inside| {
             let what = match inside.what {
                 What::File(stat) => {
                     let at = path.join(&inside.path);
                     fsx::be_a_file(&at)?;
-                    let blob = self.take(&at)?;
-                    let (digest, bytes) = (blob.digest, blob.bytes);
+                    let draft = super::blob::draft(&at)?;
+                    let (digest, bytes) = (draft.digest, draft.bytes);
                     Part::File(FolderFile { digest, bytes, executable: stat.executable })
                 }
                 What::Empty => Part::Empty,
@@ -223,7 +239,14 @@ impl Store {
             };
             Ok::<_, StoreError>(FolderEntry { path: inside.path, what })
         });
-        let folder = Folder::new(taken.collect::<Result<_, _>>()?);
+        let folder = Folder::new(drafts.collect::<Result<_, _>>()?);
+        let files: Vec<(&Path, FolderFile)> = folder.files().collect();
+        protect(files.iter().map(|(_, file)| file.digest).chain([folder.digest()]).collect())?;
+        let _held = self.hold()?;
+        files.par_iter().try_for_each(|(inside, file)| {
+            let at = path.join(inside);
+            self.adopt(fsx::open(&at)?, &at, file.digest, file.bytes).map(drop)
+        })?;
         self.take_list(&folder, &path.with_extension("list"))
     }
 

@@ -27,7 +27,7 @@ pub use copies::PrivateCopy;
 pub use digest::{Digest, Key, NotHex};
 pub use folder::{Folder, FolderEntry, FolderFile, Part, hash_folder};
 pub use history::History;
-pub use in_use::InUse;
+pub use in_use::{Hold, InUse};
 pub use past::{PastRun, RunEnd, StageOfRun, StageState};
 pub use record::{Fingerprint, Outputs, RECORD_VERSION, Record, RecordInput, RecordItem, Stored};
 pub use run::Run;
@@ -66,6 +66,23 @@ pub enum StoreError {
     /// A file from outside has changed since the run was planned.
     #[error("`{}` was changed after the run was planned; run again", .0.display())]
     Changed(PathBuf),
+    /// Another machine removed what this run had found.
+    #[error(
+        "`cache gc` on another machine removed results that this run had found; run again to rebuild them"
+    )]
+    Collected,
+    /// Another machine removed the private folder of this run.
+    #[error(
+        "this process gave no sign of life for {} min (it was suspended, or cut off from the file system of the store), so \
+         another machine took it for dead and removed its unfinished work; run again to go on", fsx::RUN_PATIENCE.as_secs() / 60
+    )]
+    TakenForDead,
+    /// Another process published a different result for the same work.
+    #[error(
+        "another process has stored a different result for the same work meanwhile (output `{0}`), so this stage is not \
+         deterministic; the stored result was kept. See `run --check-determinism`"
+    )]
+    Differs(String),
     /// A blob that a stage needs is missing.
     #[error("the blob `{}` is no longer in the store; run again to rebuild it", .0.display())]
     Missing(PathBuf),
@@ -148,6 +165,18 @@ impl Store {
     /// True where the record file of a key exists. Cheaper than reading it.
     pub fn has_record(&self, key: &Key) -> Result<bool, StoreError> {
         Ok(matches!(self.records.entry(&sharded(&key.hex(), ".json"))?, Some(Entry::File(_))))
+    }
+
+    /// Makes sure that a record is seen that another machine has just written: network file systems remember for up to a minute that
+    /// a file was not there.
+    ///
+    /// # Errors
+    /// The store cannot be written.
+    pub fn refresh(&self, key: &Key) -> Result<(), StoreError> {
+        match self.record_path(key).parent() {
+            Some(folder) => Ok(fsx::refresh(folder)?),
+            None => Ok(()),
+        }
     }
 
     /// The first output of which a file is missing or has the wrong length.

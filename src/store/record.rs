@@ -37,6 +37,16 @@ pub struct Record {
     pub fingerprint: Fingerprint,
 }
 
+impl Record {
+    /// The first output whose content another record of the same key has differently.
+    pub fn differing_output(&self, other: &Self) -> Option<&str> {
+        let differs = |(name, stored): &(&String, &Stored)| {
+            other.outputs.get(*name).is_none_or(|other| other.digest != stored.digest)
+        };
+        self.outputs.iter().find(differs).map(|(name, _)| name.as_str())
+    }
+}
+
 /// The published outputs of a stage, by output name.
 pub type Outputs = BTreeMap<String, Stored>;
 

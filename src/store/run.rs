@@ -36,18 +36,19 @@ impl Store {
             fsx::create_dir_all(&self.root().join(folder))?;
         }
         let id = run_id(SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default(), std::process::id());
-        let folder = self.root().join("runs-v1").join(&id);
-        fsx::create_dir_all(&folder.join("logs"))?;
-        fsx::write(&folder.join("run.json"), manifest.to_string().as_bytes())?;
         let tmp = self.root().join("tmp");
         let temporary = tmp.join(&id);
         // Creating and removing private folders needs the gate: otherwise a new folder could be mistaken for a dead one before
         // its lock exists.
         let gate = Lock::acquire(&tmp.join("gate"))?;
         remove_dead(&tmp);
-        let lock = Lock::try_acquire(&lock_path(&temporary))?;
+        let lock = Lock::try_acquire_run(&lock_path(&temporary))?;
         fsx::create_dir(&temporary)?;
         drop(gate);
+        // After the lock: `gc` on another machine takes a run without one for dead.
+        let folder = self.root().join("runs-v1").join(&id);
+        fsx::create_dir_all(&folder.join("logs"))?;
+        fsx::write(&folder.join("run.json"), manifest.to_string().as_bytes())?;
         // Taking the lock in shared mode creates its file, so that `gc` can take it exclusively.
         fsx::open_append(&self.root().join("gc.lock"))?;
         Ok(Run { folder, temporary, lock, left: AtomicUsize::new(0) })
@@ -112,24 +113,31 @@ fn lock_path(temporary: &Path) -> PathBuf {
 }
 
 /// Removes private folders of dead runs. This can fail for another user's folder, or while a dying stage still writes; the next
-/// run tries again.
+/// run tries again. The caller has the gate.
 pub(super) fn remove_dead(tmp: &Path) {
     let Ok(entries) = fsx::list(tmp) else { return };
-    for path in entries {
-        let owner = if path.extension().is_some_and(|ending| ending == "lock") {
-            path.with_extension("")
-        } else {
-            path.clone()
-        };
-        if owner.file_name().is_none_or(|name| name == "gate") {
+    let owner = |path: &Path| path.file_name()?.to_str()?.split('.').next().map(str::to_owned);
+    // The files of one owner follow each other.
+    for files in entries.chunk_by(|one, other| owner(one) == owner(other)) {
+        let Some(owner) = owner(&files[0]).filter(|owner| !owner.is_empty() && owner != "gate") else {
             continue;
-        }
-        if let Ok(Some(lock)) = Lock::try_acquire(&lock_path(&owner))
-            && fsx::remove_dir_all(&owner).is_ok()
+        };
+        let folder = tmp.join(owner);
+        if let Ok(Some(lock)) = Lock::try_acquire(&lock_path(&folder))
+            && fsx::remove_dir_all(&folder).is_ok()
         {
-            let _ = lock.remove();
+            remove_lock(lock, files);
         }
     }
+}
+
+/// Removes a lock whose owner is dead, with the files of processes that died while they took it over.
+pub(super) fn remove_lock(lock: Lock, files: &[PathBuf]) {
+    let taken_over = |file: &&PathBuf| file.to_string_lossy().contains(".lease.");
+    for file in files.iter().filter(taken_over) {
+        let _ = fsx::remove_file(file);
+    }
+    let _ = lock.remove();
 }
 
 /// A name that sorts by time: `20261122-034512-123456789-4711` (UTC, nanoseconds, process).

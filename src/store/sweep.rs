@@ -2,10 +2,10 @@
 //! never removed.
 
 use std::collections::{HashMap, HashSet};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use super::run::{begun_at, remove_dead};
+use super::run::{begun_at, remove_dead, remove_lock};
 use super::usage::measure;
 use super::{Digest, InUse, Key, Record, Store, StoreError};
 use crate::fsx::{self, Entry, Lock};
@@ -77,7 +77,13 @@ impl Store {
         if fsx::entry(self.root())?.is_none() {
             return Ok(Swept::default());
         }
-        let _held = if wish.dry_run { self.hold()? } else { Some(self.hold_alone()?) };
+        let (_held, _alone) =
+            if wish.dry_run { (self.hold()?, None) } else { (None, Some(self.hold_alone()?)) };
+        if !wish.dry_run {
+            self.sweep_dead()?;
+        }
+        // Before the current ones are read: what is new afterwards is not in the list.
+        let runs = self.run_ids()?;
         let in_use = self.in_use()?;
         let mut results = self.results()?;
         let mut swept = Swept::default();
@@ -90,7 +96,7 @@ impl Store {
             swept.records.push((result.key, result.record.stage.clone(), result.used));
         }
         self.sweep_blobs(wish, &in_use, &results, &sizes, &mut swept)?;
-        self.sweep_rest(wish, &in_use, &results, &mut swept)?;
+        self.sweep_rest(wish, &in_use, (&results, &runs), &mut swept)?;
         Ok(swept)
     }
 
@@ -203,7 +209,7 @@ impl Store {
         &self,
         wish: &Sweep,
         in_use: &InUse,
-        results: &[Result_],
+        (results, runs): (&[Result_], &[String]),
         swept: &mut Swept,
     ) -> Result<(), StoreError> {
         let done: HashSet<Key> = results.iter().map(|result| result.key).collect();
@@ -216,17 +222,27 @@ impl Store {
                 path.file_name().and_then(|name| name.to_str()).and_then(|name| name.parse::<Key>().ok());
             let finished = key.is_some_and(|key| done.contains(&key));
             let last = fsx::modified(&path.join("files"))?.or(fsx::modified(&path)?);
-            let busy = key.is_some_and(|key| in_use.keys.contains(&key) || self.is_being_made(&key))
-                || Lock::is_held(&path.join("lock"))?;
-            if (finished || old(last)) && !busy {
+            if !(finished || old(last)) || key.is_some_and(|key| in_use.keys.contains(&key)) {
+                continue;
+            }
+            // While this is held, nobody begins to build it. The stage of a dead engine may still be dying.
+            let lock = match key {
+                Some(key) if !wish.dry_run => Some(self.try_lock(&key)?),
+                Some(key) if self.is_being_made(&key) => Some(None),
+                _ => None,
+            };
+            if !matches!(lock, Some(None)) && !Lock::is_held(&path.join("lock"))? {
                 remove(&path, wish.dry_run, swept)?;
                 swept.checkpoints += 1;
             }
+            if let Some(Some(lock)) = lock {
+                lock.remove()?;
+            }
         }
-        for id in self.run_ids()? {
-            let began = begun_at(&id).map(|since| UNIX_EPOCH + since);
-            if old(began) && !in_use.runs.contains(&id) {
-                remove(&self.root().join("runs-v1").join(&id), wish.dry_run, swept)?;
+        for id in runs {
+            let began = begun_at(id).map(|since| UNIX_EPOCH + since);
+            if old(began) && !in_use.runs.contains(id) {
+                remove(&self.root().join("runs-v1").join(id), wish.dry_run, swept)?;
                 swept.runs += 1;
             }
         }
@@ -245,19 +261,33 @@ impl Store {
                 // These list results, some of which may have been removed.
                 fsx::remove_dir_all(&self.root().join("settled-v1"))?;
             }
-            for path in fsx::list(&self.root().join("locks-v1"))? {
-                if let Ok(Some(lock)) = Lock::try_acquire(&path) {
-                    let _ = lock.remove();
-                }
-            }
-            let tmp = self.root().join("tmp");
-            if fsx::entry(&tmp)?.is_some() {
-                let _gate = Lock::acquire(&tmp.join("gate"))?;
-                remove_dead(&tmp);
+        }
+        Ok(())
+    }
+
+    /// Removes locks and folders of dead runs. Before the lists of runs are read: a run of another machine that gave no sign of life
+    /// for long, and goes on later, then finds its folder gone instead of relying on what is removed.
+    fn sweep_dead(&self) -> Result<(), StoreError> {
+        let tmp = self.root().join("tmp");
+        if fsx::entry(&tmp)?.is_some() {
+            // That also makes network file systems forget what they know of this folder.
+            let _gate = Lock::acquire(&tmp.join("gate"))?;
+            remove_dead(&tmp);
+        }
+        let locks = fsx::list(&self.root().join("locks-v1"))?;
+        for files in locks.chunk_by(|one, other| lock_of(one) == lock_of(other)) {
+            if let Some(Ok(Some(lock))) = lock_of(&files[0]).map(|path| Lock::try_acquire(&path)) {
+                remove_lock(lock, files);
             }
         }
         Ok(())
     }
+}
+
+/// The lock that a file in `locks-v1` belongs to: it is named by a key, and what is beside it has an ending.
+fn lock_of(file: &Path) -> Option<PathBuf> {
+    let name = file.file_name()?.to_str()?;
+    Some(file.with_file_name(name.split('.').next().filter(|key| !key.is_empty())?))
 }
 
 fn remove(path: &Path, dry_run: bool, swept: &mut Swept) -> fsx::Result<()> {

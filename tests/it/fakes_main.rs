@@ -2,6 +2,9 @@
 //!
 //! `fakes __engine SCENARIO` runs a scenario without a pipeline file; with `DRIL_FAKES_CRASH_AT=N` it dies at the Nth step
 //! that touches the disk, with `DRIL_FAKES_FULL_AT=N` it finds the disk full from there on. With `DRIL_FAKES_KINDS=samples` it offers the kinds of `samples` instead.
+//!
+//! With `DRIL_FAKES_MACHINE=FOLDER` it acts as if it ran on another machine, with kernel locks of its own in that folder (or none, where
+//! there is no such folder), and with `DRIL_FAKES_PATIENCE` milliseconds until a silent lease is dead.
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 mod fakes;
@@ -16,6 +19,15 @@ use dril_pipe::{plan, store::Store};
 use dril_stage_api::outcome::PipelineOutcome;
 
 fn main() -> ExitCode {
+    #[cfg(debug_assertions)]
+    if let Some(folder) = std::env::var_os("DRIL_FAKES_MACHINE").map(std::path::PathBuf::from) {
+        let patience = std::env::var("DRIL_FAKES_PATIENCE").unwrap().parse().unwrap();
+        dril_pipe::fsx::fault::run_on(dril_pipe::fsx::fault::Machine {
+            name: folder.file_name().unwrap().to_string_lossy().into_owned(),
+            locks: folder.is_dir().then_some(folder),
+            patience: std::time::Duration::from_millis(patience),
+        });
+    }
     let arguments: Vec<_> = std::env::args_os().collect();
     if std::env::var_os("DRIL_FAKES_PAGE").is_some() {
         dril_pipe::cli::keep_page(page, MARK);

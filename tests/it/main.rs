@@ -28,6 +28,7 @@ mod inspect;
 mod lab;
 mod language;
 mod limits;
+mod machines;
 mod page;
 mod parse;
 mod plan;

@@ -100,6 +100,11 @@ impl<'g> Bars<'g> {
         if by_this_run {
             self.work.done += cost;
         }
+        self.hide(stage);
+    }
+
+    /// Removes the line of a stage.
+    fn hide(&mut self, stage: StageIndex) {
         if let (Some(running), Some(live)) = (self.running.remove(&stage), &self.live) {
             running.line.finish_and_clear();
             live.lines.remove(&running.line);
@@ -230,6 +235,8 @@ impl Reporter for Bars<'_> {
             Event::StageFailed { stage, .. } | Event::Skipped { stage, .. } | Event::Stopped { stage } => {
                 self.over(*stage, false);
             }
+            // Another machine has taken it over.
+            Event::Waiting { stage } => self.hide(*stage),
             _ => {}
         }
         let line = self.text.event(event);

@@ -71,6 +71,8 @@ impl Reporter for Plain<'_> {
             Event::Progressed { stage, progress } => self.progressed(*stage, progress),
             Event::StageFinished { stage, .. }
             | Event::StageFailed { stage, .. }
+            | Event::Waiting { stage }
+            | Event::Cached { stage, .. }
             | Event::Stopped { stage } => {
                 self.running.remove(stage);
             }

@@ -113,7 +113,11 @@ impl<'g> EventText<'g> {
             Event::Cached { stage, key } => {
                 self.done += 1;
                 let known = self.known.get(stage.index()).copied().unwrap_or_default();
-                let twin = self.started.get(key).and_then(|twin| self.graph.stages.node_weight(*twin));
+                let twin = self
+                    .started
+                    .get(key)
+                    .filter(|twin| *twin != stage)
+                    .and_then(|twin| self.graph.stages.node_weight(*twin));
                 let more = twin.map(|twin| format!(": same key as {}", twin.id)).unwrap_or_default();
                 (!known).then(|| self.line(Style::Quiet, "cached", *stage, &more))
             }

@@ -164,8 +164,8 @@ impl Import<'_> {
     ) -> Result<(), StoreError> {
         let name = format!("{BLOBS}{digest}");
         {
-            let _held = self.store.hold()?;
             self.run.rely_on([], [digest])?;
+            let _held = self.store.hold()?;
             if matches!(fsx::entry(&self.store.blob_path(&digest))?, Some(fsx::Entry::File(there)) if bytes.is_none_or(|bytes| bytes == there))
             {
                 return Ok(());
