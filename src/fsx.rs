@@ -4,6 +4,7 @@
 mod clock;
 mod copies;
 mod dir;
+pub mod doctor;
 pub mod fault;
 mod folder;
 mod heartbeat;

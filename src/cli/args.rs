@@ -17,7 +17,9 @@ use clap::{ArgMatches, Args, CommandFactory, FromArgMatches, Parser, Subcommand,
 use super::Extensions;
 use crate::resolve::{Choices, Selection};
 use crate::spec::limits::parse_time;
-pub(super) use cache::{CacheArgs, CacheCommand, DuArgs, ExportArgs, GcArgs, ImportArgs, VerifyArgs};
+pub(super) use cache::{
+    CacheArgs, CacheCommand, DoctorArgs, DuArgs, ExportArgs, GcArgs, ImportArgs, VerifyArgs,
+};
 pub(super) use executor::{Executor, ExecutorArgs};
 pub(super) use inspect::{DiffArgs, ExplainArgs, LogArgs, RunsArgs, ShowArgs, StatusArgs};
 pub(super) use page::ReportArgs;

@@ -105,7 +105,7 @@ fn lock() -> std::sync::MutexGuard<'static, Vec<Arc<Beat>>> {
 }
 
 /// Sets the time of a file to that of its file server.
-fn touch(path: &Path) -> bool {
+pub(super) fn touch(path: &Path) -> bool {
     let now = Timespec { tv_sec: 0, tv_nsec: UTIME_NOW };
     let times = Timestamps { last_access: now, last_modification: now };
     utimensat(CWD, path, &times, AtFlags::empty()).is_ok()

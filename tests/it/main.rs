@@ -16,6 +16,7 @@ mod cli;
 mod cli_texts;
 mod command;
 mod crash;
+mod doctor;
 mod editors;
 mod ends;
 mod examples;

@@ -23,6 +23,8 @@ pub(in crate::cli) enum CacheCommand {
     Gc(GcArgs),
     /// Show disk usage by folder and by stage
     Du(DuArgs),
+    /// Measure whether a file system gives what a cache relies on, on this machine and between two
+    Doctor(DoctorArgs),
     /// Write a run with its results and provenance to an archive (a Workflow Run RO-Crate)
     Export(ExportArgs),
     /// Add the contents of an archive to the cache; every digest and key is checked
@@ -72,6 +74,19 @@ pub(in crate::cli) struct GcArgs {
 pub(in crate::cli) struct DuArgs {
     #[command(flatten)]
     pub store: StoreArgs,
+    /// Print JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(Debug, Args)]
+pub(in crate::cli) struct DoctorArgs {
+    /// A folder of the file system, such as the cache
+    #[arg(value_name = "DIR")]
+    pub folder: PathBuf,
+    /// Take part in a measurement from another machine: start this there first, then `cache doctor DIR` here
+    #[arg(long, conflicts_with = "json")]
+    pub peer: bool,
     /// Print JSON
     #[arg(long)]
     pub json: bool,

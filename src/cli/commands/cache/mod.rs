@@ -1,5 +1,6 @@
 //! `dril-pipe cache`: manages the cache.
 
+mod doctor;
 mod du;
 mod gc;
 mod shared;
@@ -20,6 +21,7 @@ pub(in crate::cli) fn main(args: &CacheArgs, registry: &Registry) -> Result<Exit
         CacheCommand::Verify(args) => verify::main(args),
         CacheCommand::Gc(args) => gc::main(args, registry),
         CacheCommand::Du(args) => du::main(args),
+        CacheCommand::Doctor(args) => doctor::main(args),
         CacheCommand::Export(args) => transfer::export(args),
         CacheCommand::Import(args) => transfer::import(args),
         CacheCommand::Push(args) => shared::push(args, registry),
