@@ -10,7 +10,7 @@ use serde::{Deserialize, Deserializer, de};
 use super::time;
 use crate::spec::limits::parse_size;
 
-/// What jobs ask for: for all stages under `[slurm]`, for those of a kind under `[slurm.kinds.KIND]`, for some stages under
+/// What jobs request: for all stages under `[slurm]`, for those of a kind under `[slurm.kinds.KIND]`, for some stages under
 /// `[slurm.stages."PATTERN"]`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -50,7 +50,7 @@ pub struct SlurmSettings {
     pub kinds: BTreeMap<String, JobSettings>,
     /// By a pattern of stage names, as `dril*`; counts more than the kind.
     pub stages: BTreeMap<String, JobSettings>,
-    /// Threads that queued and running jobs may ask for together.
+    /// Threads that queued and running jobs may request together.
     pub max_threads: Option<NonZeroUsize>,
     /// Long-lived jobs that run one stage after the other; without it, every stage has a job of its own.
     pub pilots: Option<usize>,

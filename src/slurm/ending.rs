@@ -31,7 +31,7 @@ impl Endings {
         &self,
         home: &Home,
         job: &JobId,
-        word: &str,
+        end_state: &str,
         node: &str,
         lost: &mut u32,
     ) -> Result<Option<JobId>, Failure> {
@@ -43,7 +43,7 @@ impl Endings {
         }
         let place = if node.is_empty() { String::new() } else { format!(" on node `{node}`") };
         let scheduler = &self.scheduler;
-        match word {
+        match end_state {
             "CANCELLED" => Err(Failure::Stage(format!(
                 "its {scheduler} job {job} was cancelled{place}; the next run resumes from its checkpoint"
             ))),
@@ -52,12 +52,12 @@ impl Endings {
                  more `memory`"
             ))),
             // Its time was over before the stage could stop, or it was lost with its node.
-            _ if *lost < patience(home, word)? && word != "FAILED" => {
+            _ if *lost < patience(home, end_state)? && end_state != "FAILED" => {
                 *lost += 1;
                 Ok(None)
             }
             _ => Err(Failure::Stage(format!(
-                "{scheduler} job {job} ended{place} without a result ({word}){}",
+                "{scheduler} job {job} ended{place} without a result ({end_state}){}",
                 last_lines(home)
             ))),
         }
@@ -156,8 +156,8 @@ impl Endings {
     }
 }
 /// How often a lost job is submitted again. One that did not begin, for no known reason, probably will not the next time.
-fn patience(home: &Home, word: &str) -> Result<u32, Failure> {
-    let is_the_nodes_fault = ["BOOT_FAIL", "NODE_FAIL", "PREEMPTED", "TIMEOUT"].contains(&word);
+fn patience(home: &Home, end_state: &str) -> Result<u32, Failure> {
+    let is_the_nodes_fault = ["BOOT_FAIL", "NODE_FAIL", "PREEMPTED", "TIMEOUT"].contains(&end_state);
     Ok(if is_the_nodes_fault || home.claimed_by()?.is_some() { LOST } else { 1 })
 }
 

@@ -18,6 +18,9 @@ pub const PILOT: &str = "__pilot";
 /// Pauses between two looks into an empty queue: short at first, since one result often makes the next stage ready.
 const PAUSES: (Duration, Duration) = (Duration::from_millis(10), Duration::from_millis(500));
 
+/// How often a network file system has to look again for what is in the queue.
+const REFRESH: Duration = Duration::from_secs(1);
+
 /// Runs a pilot to its end. `job` is the scheduler's ID of its job.
 pub fn run_pilot(folder: &Path, job: &str, registry: &Registry) -> ExitCode {
     let folder = PilotFolder(folder.to_owned());
@@ -56,9 +59,13 @@ fn take_until_the_end(
     orders: &Orders,
 ) -> fsx::Result<()> {
     let idle = Duration::try_from_secs_f64(orders.idle).unwrap_or(Duration::MAX);
-    let (mut since, mut pause) = (Instant::now(), PAUSES.0);
+    let (mut since, mut pause, mut refreshed) = (Instant::now(), PAUSES.0, Instant::now());
     while !node.is_stopping() {
         let mut found = false;
+        if refreshed.elapsed() >= REFRESH {
+            refreshed = Instant::now();
+            queue.refresh();
+        }
         // A listing is used up before the next one: with thousands of stages it is expensive.
         for entry in queue.list()? {
             if node.is_stopping() {

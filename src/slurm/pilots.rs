@@ -83,7 +83,7 @@ impl Drop for Offer {
 }
 
 impl Pilots {
-    /// `None` where the settings ask for no pilots.
+    /// `None` where the settings have no pilots.
     pub fn new(
         submitter: &Arc<Submitter>,
         settings: &SlurmSettings,
@@ -215,12 +215,13 @@ impl Pilots {
     pub fn judge(&self, job: &JobId, seen: Seen, settle: Duration) {
         let mut state = self.lock();
         let Some(known) = state.known.get_mut(job) else { return };
-        let Seen { state: JobState::Over(word), node } = seen else {
+        let Seen { state: JobState::Over(end_state), node } = seen else {
             // It was started again.
             known.over = None;
             return;
         };
-        let (since, word, node) = known.over.get_or_insert_with(|| (Instant::now(), word, node)).clone();
+        let (since, end_state, node) =
+            known.over.get_or_insert_with(|| (Instant::now(), end_state, node)).clone();
         if since.elapsed() < settle && !known.folder.has_ended().unwrap_or(false) {
             return;
         }
@@ -232,22 +233,22 @@ impl Pilots {
             if !has_ended {
                 // One that could not even begin will not begin on another node.
                 let has_begun = aside.as_ref().is_none_or(PilotFolder::has_begun);
-                state.failures += if word == "FAILED" && !has_begun { FAILURES } else { 1 };
+                state.failures += if end_state == "FAILED" && !has_begun { FAILURES } else { 1 };
             }
             drop(state);
             self.changed.notify_all();
             if let Some(aside) = aside {
-                self.report_lost(&aside, job, &word, &node);
+                self.report_lost(&aside, job, &end_state, &node);
             }
         }
     }
 
     /// Tells the engines whose stages a pilot had that they are lost.
-    fn report_lost(&self, pilot: &PilotFolder, job: &JobId, word: &str, node: &str) {
+    fn report_lost(&self, pilot: &PilotFolder, job: &JobId, end_state: &str, node: &str) {
         for entry in pilot.taken().unwrap_or_default() {
             let home = Home::new(self.jobs.join(entry.key()));
             if matches!(home.ended(), Ok(None)) {
-                let how = How::Lost(word.to_owned());
+                let how = How::Lost(end_state.to_owned());
                 let ended = Ended::new(job.clone(), node.to_owned(), how, Vec::new());
                 let written = home.write("ended.json", &ended);
                 if let (Ok(()), Some(notice)) = (written, home.notice()) {

@@ -7,7 +7,7 @@
 //! pilots-v1/<name>/submitted.json          the pilot's name, and its job ID once the scheduler has returned one
 //! pilots-v1/<name>/job                     its job ID, written by the pilot itself
 //! pilots-v1/<name>/taken/<number>-<key>    the stage that it runs
-//! pilots-v1/<name>/end                     asks it to end as soon as it runs no stage
+//! pilots-v1/<name>/end                     requests its end as soon as it runs no stage
 //! pilots-v1/<name>/ended                   it has ended, and will take no stage again
 //! ```
 //!
@@ -63,10 +63,11 @@ fn nanoseconds() -> u128 {
     SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos()
 }
 
-/// The names of the files in a folder, sorted.
+/// The names of the files in a folder, sorted, without temporary ones.
 fn entries(folder: &Path) -> fsx::Result<Vec<Entry>> {
     let names = fsx::list(folder)?.into_iter();
-    Ok(names.filter_map(|path| Some(Entry(path.file_name()?.to_str()?.to_owned()))).collect())
+    let names = names.filter_map(|path| Some(path.file_name()?.to_str()?.to_owned()));
+    Ok(names.filter(|name| !name.starts_with('.')).map(Entry).collect())
 }
 
 /// Stages that wait for pilots of one class.
@@ -94,6 +95,12 @@ impl Queue {
     /// All stages, the first one first.
     pub fn list(&self) -> fsx::Result<Vec<Entry>> {
         entries(&self.folder)
+    }
+
+    /// Makes a network file system look again for what is in it.
+    pub fn refresh(&self) {
+        // It only saves time.
+        let _ = fsx::refresh(&self.folder);
     }
 
     /// Removes a stage; false where a pilot has taken it.
@@ -223,6 +230,7 @@ mod tests {
             pilot.create(&Orders::new("c".to_owned(), root.path().to_owned(), 1.0, None)).unwrap();
         }
         let entries = ["b", "a", "c"].map(|key| queue.put(key).unwrap());
+        std::fs::write(queue.folder.join(".tmp-1"), "").unwrap();
         assert_eq!(queue.list().unwrap(), entries);
         assert_eq!(entries[0].key(), "b");
         assert!(pilots[0].take(&queue, &entries[0]).unwrap());

@@ -50,7 +50,7 @@ enum Waited {
     Ended(Ended),
     Gone {
         job: JobId,
-        word: String,
+        end_state: String,
         node: String,
     },
     /// No pilot will take it.
@@ -149,7 +149,7 @@ impl SlurmRunner {
                             history.alone = true;
                             continue;
                         }
-                        Waited::Gone { job, word, node } => {
+                        Waited::Gone { job, end_state, node } => {
                             // One that saved more than before was not lost in vain.
                             if self.endings.saved_more(launch, &mut history.saved)? {
                                 history.lost = 0;
@@ -157,7 +157,7 @@ impl SlurmRunner {
                             if of_another.take().is_none_or(|other| other != job) {
                                 running = self
                                     .endings
-                                    .after_gone(&home, &job, &word, &node, &mut history.lost)
+                                    .after_gone(&home, &job, &end_state, &node, &mut history.lost)
                                     .inspect_err(|_| drop(self.endings.remove(&home)))?
                                     .map(Running::Job);
                             }
@@ -297,8 +297,8 @@ impl SlurmRunner {
                         return Ok(Waited::Ended(ended));
                     }
                 }
-                (Ok(News::Gone(word, node)), Running::Job(job)) => {
-                    return Ok(Waited::Gone { job: job.clone(), word, node });
+                (Ok(News::Gone(end_state, node)), Running::Job(job)) => {
+                    return Ok(Waited::Gone { job: job.clone(), end_state, node });
                 }
                 (Ok(News::Withdrawn | News::Gone(..)), _) => return Ok(Waited::Withdrawn),
                 (Err(RecvTimeoutError::Timeout), _) => {}

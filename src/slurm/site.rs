@@ -6,7 +6,7 @@ use std::time::Duration;
 /// The intervals of the watch; tests use shorter ones.
 #[derive(Clone, Copy, Debug)]
 pub struct Pace {
-    /// How often the folder of notices is polled.
+    /// How often the folder of notices is polled; more often where there are pilots.
     pub look: Duration,
     /// How often the scheduler lists the jobs, at most.
     pub ask: Duration,
@@ -17,7 +17,7 @@ pub struct Pace {
 impl Default for Pace {
     fn default() -> Self {
         Self {
-            look: Duration::from_millis(20),
+            look: Duration::from_millis(100),
             ask: Duration::from_secs(10),
             // A network file system may show a folder as it was half a minute ago.
             settle: Duration::from_secs(60),

@@ -17,6 +17,12 @@ use super::scheduler::{JobId, Scheduler, Seen, State};
 use super::site::Pace;
 use crate::fsx;
 
+/// How often the folder of notices is polled where stages may take milliseconds.
+const WITH_PILOTS: Duration = Duration::from_millis(20);
+
+/// How often a network file system has to look again for what is in a folder.
+const REFRESH: Duration = Duration::from_secs(1);
+
 /// What happened to a stage.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum News {
@@ -60,8 +66,12 @@ impl Watch {
         let (orders, receiver) = channel();
         // Pilots of an earlier engine may be dead by now.
         let soon = pilots.as_ref().is_some_and(|pilots| !pilots.known().is_empty());
-        let mut state =
-            Watching { scheduler, notices, pilots, pace, stages: BTreeMap::new(), asked: None, soon };
+        let mut pace = pace;
+        if pilots.is_some() {
+            pace.look = pace.look.min(WITH_PILOTS);
+        }
+        let (stages, refreshed) = (BTreeMap::new(), Instant::now());
+        let mut state = Watching { scheduler, notices, pilots, pace, stages, refreshed, asked: None, soon };
         let thread =
             std::thread::Builder::new().name("watch".to_owned()).spawn(move || state.run(&receiver))?;
         Ok(Self { orders: Mutex::new(Some(orders)), thread: Some(thread) })
@@ -100,6 +110,8 @@ struct Stage {
     place: Place,
     home: Home,
     news: Sender<News>,
+    /// When it was submitted or found.
+    since: Instant,
     /// When the scheduler first listed its job as over, the state, and the node.
     over: Option<(Instant, String, String)>,
     /// When its job is cancelled.
@@ -116,6 +128,8 @@ struct Watching {
     pace: Pace,
     /// By the folder of the job.
     stages: BTreeMap<PathBuf, Stage>,
+    /// When the folder of notices was refreshed last.
+    refreshed: Instant,
     /// When the scheduler listed the jobs last.
     asked: Option<Instant>,
     /// It lists them at once: jobs were stopped, and those that waited report no end.
@@ -145,8 +159,16 @@ impl Watching {
             Order::Watch(place, home, news) => {
                 self.asked.get_or_insert_with(Instant::now);
                 let folder = home.folder.clone();
-                let stage =
-                    Stage { place, home, news, over: None, cancel: None, to_stop: false, stopping: false };
+                let stage = Stage {
+                    place,
+                    home,
+                    news,
+                    since: Instant::now(),
+                    over: None,
+                    cancel: None,
+                    to_stop: false,
+                    stopping: false,
+                };
                 self.stages.insert(folder, stage);
             }
             Order::Stop(folder, grace) => {
@@ -162,6 +184,11 @@ impl Watching {
     /// Finds those that have ended.
     fn look(&mut self) {
         let Some(jobs) = self.notices.parent() else { return };
+        if !self.stages.is_empty() && self.refreshed.elapsed() >= REFRESH {
+            self.refreshed = Instant::now();
+            // It only saves time.
+            let _ = fsx::refresh(&self.notices);
+        }
         for notice in fsx::list(&self.notices).unwrap_or_default() {
             let Some(name) = notice.file_name() else { continue };
             let folder = jobs.join(name);
@@ -169,6 +196,9 @@ impl Watching {
             if matches!(stage.home.ended(), Ok(Some(_))) {
                 let _ = stage.news.send(News::Ended);
                 self.stages.remove(&folder);
+            } else {
+                // The notice is the later one of both files.
+                let _ = fsx::refresh(&folder);
             }
         }
     }
@@ -261,6 +291,10 @@ impl Watching {
         let mut over = Vec::new();
         for (folder, stage) in &self.stages {
             let Place::Job(job) = &stage.place else { continue };
+            // The list may be older than the job.
+            if stage.since.elapsed() < self.pace.ask && !stage.stopping && !all.contains_key(job) {
+                continue;
+            }
             if let Some(seen) = self.seen(&all, job) {
                 over.push((folder.clone(), seen));
             }
@@ -268,8 +302,8 @@ impl Watching {
         for (folder, seen) in over {
             let Some(stage) = self.stages.get_mut(&folder) else { continue };
             match seen {
-                Seen { state: State::Over(word), node } => {
-                    stage.over.get_or_insert_with(|| (Instant::now(), word, node));
+                Seen { state: State::Over(end_state), node } => {
+                    stage.over.get_or_insert_with(|| (Instant::now(), end_state, node));
                 }
                 // It was started again.
                 Seen { .. } => stage.over = None,
@@ -282,8 +316,8 @@ impl Watching {
         if let Some(seen) = all.get(job) {
             return Some(seen.clone());
         }
-        let word = format!("unknown to {}", self.scheduler.name());
-        let gone = || Seen { state: State::Over(word), node: String::new() };
+        let end_state = format!("unknown to {}", self.scheduler.name());
+        let gone = || Seen { state: State::Over(end_state), node: String::new() };
         self.scheduler.look(job).ok().map(|seen| seen.unwrap_or_else(gone))
     }
 
@@ -291,18 +325,18 @@ impl Watching {
     fn settle(&mut self) {
         let pace = self.pace;
         self.stages.retain(|_, stage| {
-            let Some((since, word, node)) = &stage.over else { return true };
+            let Some((since, end_state, node)) = &stage.over else { return true };
             if matches!(stage.home.ended(), Ok(Some(_))) {
                 let _ = stage.news.send(News::Ended);
                 return false;
             }
-            let seen = Seen { state: State::Over(word.clone()), node: node.clone() };
+            let seen = Seen { state: State::Over(end_state.clone()), node: node.clone() };
             // At worst, the next run does again what a stage finished while it was stopped.
             let wait = if stage.stopping { pace.settle / 20 } else { settle(&seen, &pace) };
             if since.elapsed() < wait {
                 return true;
             }
-            let _ = stage.news.send(News::Gone(word.clone(), node.clone()));
+            let _ = stage.news.send(News::Gone(end_state.clone(), node.clone()));
             false
         });
     }
@@ -310,8 +344,8 @@ impl Watching {
 
 /// How long to wait for the files of a job that is over.
 fn settle(seen: &Seen, pace: &Pace) -> Duration {
-    let State::Over(word) = &seen.state else { return pace.settle };
-    match &**word {
+    let State::Over(end_state) = &seen.state else { return pace.settle };
+    match &**end_state {
         // It was stopped from outside, and writes nothing more.
         "CANCELLED" => Duration::ZERO,
         // It may be started again, which the list shows a little later.

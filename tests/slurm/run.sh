@@ -33,7 +33,7 @@ finish() {
 }
 trap finish EXIT
 
-fail() { echo "FAILED: $1" >&2; tail -n 30 ./*.out ./trace 2>/dev/null >&2 || true; exit 1; }
+fail() { echo "FAILED: $1" >&2; tail -n 30 ./*.out ./trace >&2 2>/dev/null || true; exit 1; }
 # Waits at most a minute until a command succeeds.
 until_true() { for _ in $(seq 600); do eval "$1" && return; sleep 0.1; done; fail "waited in vain until $1"; }
 running() { [ -n "$(squeue --noheader --me --states=RUNNING)" ]; }
@@ -157,16 +157,37 @@ detach() {
 test_detached_jobs_go_on_without_an_engine() { detach detach; }
 test_detached_pilots_go_on_without_an_engine() { detach pilot-detach $'pilots = 2\npilot_idle = "2s"'; }
 
-test_a_controller_that_is_away_for_a_while_costs_time_only() {
+# Another stage after each long one: its job is submitted while something is wrong.
+longer_chains() {
+    sed -i 's/^  gather:/  next: { kind: emit, matrix: [word], with: { text: x }, inputs: { after: count.count } }\n  gather:/' p.yaml
+}
+
+test_a_node_that_is_drained_finishes_its_jobs_and_the_others_wait() {
+    [ -n "$started" ] || { echo "  skipped: not our own Slurm"; return 0; }
+    place drain 30
+    longer_chains
+    start
+    until_true '[ "$(begun count)" -ge 1 ]'
+    scontrol update NodeName="$(hostname -s)" State=DRAIN Reason=test
+    sleep 15
+    scontrol update NodeName="$(hostname -s)" State=RESUME
+    wait "$engine" || fail "the run"
+    [ "$(begun)" = 7 ] || fail "$(begun) stages begun, expected 7: none of them twice"
+    [ "$(steps)" = 60 ] || fail "$(steps) steps, expected 60: none of them twice"
+    same_as_local
+}
+
+test_a_controller_that_is_away_for_a_minute_costs_time_only() {
     [ -n "$started" ] || { echo "  skipped: not our own Slurm"; return 0; }
     place controller 30
+    longer_chains
     start
     until_true running
     kill "$(cat "$root/slurm/run/slurmctld.pid")"
-    sleep 25
+    sleep 60
     slurmctld -f "$SLURM_CONF"
     wait "$engine" || fail "the run"
-    [ "$(begun)" = 5 ] || fail "$(begun) stages begun, expected 5: none of them twice"
+    [ "$(begun)" = 7 ] || fail "$(begun) stages begun, expected 7: none of them twice"
     same_as_local
 }
 
@@ -206,6 +227,25 @@ test_a_stage_that_needs_more_than_a_pilot_has_a_job_of_its_own() {
     slurm >run.out 2>&1 || fail "the run"
     [ "$(pilots)" = 1 ] && [ "$(jobs "[0-9a-f]")" = 2 ] || fail "$(pilots) pilots and $(jobs "[0-9a-f]") jobs"
     same_as_local
+}
+
+# Table 22 at its smallest size, with the full program (`FULL`), in pilots and in jobs.
+test_the_smoke_profile_of_the_thesis_has_the_same_bytes_as_locally() {
+    local full=${FULL:-$here/../../${CARGO_TARGET_DIR:-target}/debug/dril-pipe} pipelines=$here/../../pipelines
+    [ -x "$full" ] && [ -x "${full%/*}/dril-pipe-learn" ] || { echo "  skipped: there is no $full with dril-pipe-learn"; return 0; }
+    full=$(realpath "$full")
+    mkdir -p "$root/thesis" && cd "$root/thesis"
+    cp -r "$pipelines" pipelines
+    printf '[slurm]\nmemory = "2G"\npilots = 1\n[slurm.kinds.ppo]\npilot = false\n[slurm.kinds.dril]\npilot = false\n' \
+        >pipelines/dril-pipe.toml
+    "$full" run pipelines/thesis.yaml --profile smoke --executor slurm --cache on-slurm --out tables >run.out 2>&1 ||
+        fail "the run on Slurm"
+    "$full" run pipelines/thesis.yaml --profile smoke --cache here --out local >local.out 2>&1 || fail "the local run"
+    diff -r --exclude=.dril-pipe.json --exclude=report.html local tables || fail "other tables than locally"
+    # Records are named by keys, which have the digests of inputs in them, and blobs by the digests of their content.
+    contents() { (cd "$1" && find records-v1 blobs-v1 -type f | sort); }
+    diff <(contents here) <(contents on-slurm) || fail "other artifacts than locally"
+    echo "  $(contents here | grep -c ^records) records and $(contents here | grep -c ^blobs) blobs are the same; $(grep ^done run.out)"
 }
 
 test_an_error_names_its_node_and_job() {
