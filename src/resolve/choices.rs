@@ -53,7 +53,7 @@ impl<'a> Layers<'a> {
             let source = sources.add(SourceText::argument("--set", argument));
             let Some((keys, values)) = assignment(argument, source, problems) else { continue };
             let value = match <[Node; 1]>::try_from(values) {
-                Ok([value]) => Some(value),
+                Ok([value]) => Some(as_axis(&keys, value)),
                 Err(values) => sweep(spec, &keys, values, &mut sweeps, problems),
             };
             if let Some(value) = value {
@@ -192,6 +192,18 @@ fn sweep(
         axis: MatrixAxis { name: key, values: Some(list), group: None },
     });
     Some(Node::new(Value::Text(format!("${name}").into()), at))
+}
+
+/// A single value of an axis, as in `axes.seed=3`, as the list that it means.
+fn as_axis(keys: &[Key], value: Node) -> Node {
+    let is_scalar = matches!(value.value, Value::Text(_) | Value::Number(..));
+    match keys {
+        [axes, _] if &*axes.text == "axes" && is_scalar => {
+            let span = value.span;
+            Node::new(Value::List(vec![value]), span)
+        }
+        _ => value,
+    }
 }
 
 /// The names and the values of `a.b=value` and `a.b=1,2,3`.

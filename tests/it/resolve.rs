@@ -150,8 +150,7 @@ fn set_goes_over_profile_over_stage_over_defaults() {
 fn set_reaches_params_axes_defaults_and_the_seed() {
     let text = "name: sample\nparams: { car: { track: { laps: 2 } } }\naxes: { seed: [1, 2] }\n\
                 stages: { train: { kind: train, matrix: [seed], with: { steps: 5, env: $car } } }";
-    let set =
-        ["params.car.track.laps=50", "axes.seed=[9]", "seed=3", "defaults.train.with.learning_rate=0.5"];
+    let set = ["params.car.track.laps=50", "axes.seed=9", "seed=3", "defaults.train.with.learning_rate=0.5"];
     let graph = graph_of(text, None, &set);
     let train = instance(&graph, "train[seed=9]");
     assert_eq!(train.params["env"], json!({"track": {"laps": 50}}));
@@ -166,6 +165,7 @@ fn a_list_over_an_axis_with_fields_chooses_among_its_values() {
     let graph = graph_of(text, None, &["axes.expert=[c, a]"]);
     assert_eq!(ids(&graph), ["train[expert=c]", "train[expert=a]"]);
     assert_eq!(instance(&graph, "train[expert=c]").params["steps"], 7);
+    assert_eq!(ids(&graph_of(text, None, &["axes.expert=c"])), ["train[expert=c]"]);
     let more = graph_of(text, None, &["axes.expert={ b: { steps: 8 }, d: { steps: 9 } }"]);
     assert_eq!(more.stages.node_count(), 4);
     assert_eq!(instance(&more, "train[expert=b]").params["steps"], 8);
