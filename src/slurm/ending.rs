@@ -16,7 +16,7 @@ use crate::store;
 /// How often a job that vanished, with its node or by a fault of the scheduler, is submitted again.
 const LOST: u32 = 5;
 
-/// Gives the end of jobs its meaning.
+/// Handles the end of jobs.
 pub(super) struct Endings {
     /// The name of the scheduler, for errors.
     pub scheduler: String,

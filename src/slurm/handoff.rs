@@ -148,7 +148,7 @@ impl Home {
         fsx::rename(&new, &path)
     }
 
-    /// As [`Self::write`], and durable: for what a job depends on that goes on when the engine's machine fails.
+    /// As [`Self::write`], and durable: for what is needed to find a job again after the engine's machine failed.
     pub fn write_synced<T: Serialize>(&self, name: &str, value: &T) -> fsx::Result<()> {
         let path = self.path(name);
         fsx::write_atomic(&path, &bytes(&path, value)?)

@@ -49,7 +49,9 @@ fn work(folder: &PilotFolder, job: &str, registry: &Registry) -> fsx::Result<()>
         run(&node, folder, &queue, &orders, &entry)?;
     }
     take_until_the_end(&node, folder, &queue, &orders)?;
-    folder.end()
+    folder.end()?;
+    // There may be no engine to do it.
+    folder.remove()
 }
 
 fn take_until_the_end(

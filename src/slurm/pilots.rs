@@ -263,13 +263,7 @@ impl Pilots {
     fn remove_ended(&self) {
         let mut state = self.lock();
         state.known.retain(|_, known| match known.folder.has_ended() {
-            Ok(true) => match known.folder.retire() {
-                Ok(aside) => {
-                    aside.into_iter().for_each(|aside| drop(fsx::remove_dir_all(&aside.0)));
-                    false
-                }
-                Err(_) => true,
-            },
+            Ok(true) => known.folder.remove().is_err(),
             _ => true,
         });
     }

@@ -200,8 +200,15 @@ impl PilotFolder {
         fsx::write(&self.0.join("ended"), b"")
     }
 
+    /// True once it has ended, and where its folder is gone.
     pub fn has_ended(&self) -> fsx::Result<bool> {
-        Ok(fsx::entry(&self.0.join("ended"))?.is_some())
+        let has = |name: &str| Ok(fsx::entry(&self.0.join(name))?.is_some());
+        Ok(has("ended")? || !has("pilot.json")?)
+    }
+
+    /// Removes the folder of a pilot that has ended.
+    pub fn remove(&self) -> fsx::Result<()> {
+        self.retire()?.map_or(Ok(()), |aside| fsx::remove_dir_all(&aside.0))
     }
 
     /// Moves it aside, so that a job that Slurm starts again takes no more stages; `None` where another engine has done so.

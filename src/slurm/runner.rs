@@ -150,7 +150,7 @@ impl SlurmRunner {
                             continue;
                         }
                         Waited::Gone { job, end_state, node } => {
-                            // One that saved more than before was not lost in vain.
+                            // A job that saved a newer checkpoint made progress.
                             if self.endings.saved_more(launch, &mut history.saved)? {
                                 history.lost = 0;
                             }

@@ -203,7 +203,7 @@ impl Watching {
         }
     }
 
-    /// Stops those that shall stop, and cancels those that took too long.
+    /// Sends stop requests that are due, and cancels jobs that took too long to stop.
     fn stop(&mut self) {
         let now = Instant::now();
         let (mut stop, mut stopped, mut withdrawn) = (BTreeSet::new(), Vec::new(), Vec::new());

@@ -283,6 +283,7 @@ test_many_small_stages_run_in_two_pilots() {
     [ "$(pilots)" = 2 ] || fail "$(pilots) pilots, expected 2"
     [ "$(jobs "[0-9a-f]")" = 0 ] || fail "a stage had a job of its own"
     until_true no_jobs
+    [ "$(find cache/pilots-v1 -mindepth 1 -maxdepth 1 -not -name 'queue-*')" = "" ] || fail "a pilot left its folder"
     began=$(date +%s%N)
     env -u DRIL_FAKES_TRACE "$program" run p.yaml --cache local-cache --out local >local.out 2>&1 || fail "the local run"
     echo "  $count stages: $millis ms in two pilots, $(( ($(date +%s%N) - began) / 1000000 )) ms locally"
