@@ -223,6 +223,9 @@ pub(super) struct PlanArgs {
     /// Show one line per stage instance, including cached ones
     #[arg(long, conflicts_with = "json")]
     pub all: bool,
+    /// Forecast the run on `slurm` or another executor: jobs, time and critical path, from the times of earlier runs
+    #[arg(long, value_name = "WHERE", default_value = "local")]
+    pub executor: Executor,
     /// Print the plan as JSON
     #[arg(long)]
     pub json: bool,

@@ -15,13 +15,13 @@ const MAX_THREADS: usize = 1000;
 /// A cluster: its scheduler, and what jobs request.
 pub(super) type Cluster = (Arc<dyn Scheduler>, SlurmSettings);
 
-/// The cluster that the arguments name; `None` for this machine.
+/// The cluster that `executor` names; `None` for this machine.
 ///
 /// # Errors
 /// The settings have no executor of that name.
-pub(super) fn cluster(args: &RunArgs, settings: Settings) -> Result<Option<Cluster>, Error> {
+pub(super) fn cluster(executor: &Executor, settings: Settings) -> Result<Option<Cluster>, Error> {
     let mut settings = settings;
-    match &args.executor.executor {
+    match executor {
         Executor::Local => Ok(None),
         Executor::Slurm => Ok(Some((Arc::new(Slurm), settings.slurm))),
         Executor::Named(name) => {
@@ -45,8 +45,13 @@ pub(super) fn cluster(args: &RunArgs, settings: Settings) -> Result<Option<Clust
 /// Changes options to those of the cluster, which has more threads than this machine.
 pub(super) fn adapt(options: &mut Options, args: &RunArgs, cluster: Option<&Cluster>) {
     if let (Some((_, settings)), None) = (cluster, args.jobs) {
-        options.threads = settings.max_threads.map_or(MAX_THREADS, usize::from);
+        options.threads = max_threads(settings);
     }
+}
+
+/// The threads that all jobs together may request.
+pub(super) fn max_threads(settings: &SlurmSettings) -> usize {
+    settings.max_threads.map_or(MAX_THREADS, usize::from)
 }
 
 /// The runner for a cluster or this machine; `store` is the folder of the store.

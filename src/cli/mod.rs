@@ -76,7 +76,10 @@ pub fn run_with(
     {
         let run = if name == slurm::NODE { slurm::run_on_node } else { slurm::run_pilot };
         let job = std::env::var(slurm::JOB).or_else(|_| std::env::var("SLURM_JOB_ID")).unwrap_or_default();
-        return run(Path::new(folder), &job, &registry);
+        return run(Path::new(folder), &job, &registry).unwrap_or_else(|error| {
+            print_error(&format!("error: {error}\n"));
+            ExitCode::FAILURE
+        });
     }
     if let [_, name] = &*args
         && name == exec::WARDEN

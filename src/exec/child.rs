@@ -416,6 +416,10 @@ fn exit(status: ExitStatus, asked: bool, failure: Option<String>) -> Result<Exit
         (None, Some(_)) if asked => return Ok(Exit::Stopped),
         (Some(code), _) if code == i32::from(EXIT_STOPPED) => "another process asked it to stop".to_owned(),
         (_, Some(signal)) => format!("it was killed by {}", signal_name(signal)),
+        (Some(127), _) if failure.is_none() => {
+            "its program could not be loaded: a shared library is missing on this machine, or is another version; see the log"
+                .to_owned()
+        }
         (Some(101), _) if failure.is_none() => "it panicked; see the log".to_owned(),
         (Some(code), _) => {
             failure.unwrap_or_else(|| format!("it ended with exit code {code} and reported no error"))
@@ -461,6 +465,8 @@ mod tests {
         assert_eq!(exit(1 << 8, true, Some("no")), Err("no".to_owned()));
         let reported_nothing = "it ended with exit code 7 and reported no error".to_owned();
         assert_eq!(exit(7 << 8, false, None), Err(reported_nothing));
+        let text = exit(127 << 8, false, None).unwrap_err();
+        assert!(text.contains("shared library"), "{text}");
         let text = exit(9, false, None).unwrap_err();
         assert!(text.contains("SIGKILL") && text.contains("memory"), "{text}");
         assert!(exit(75 << 8, false, None).is_err());

@@ -4,6 +4,7 @@
 mod compare;
 mod estimate;
 mod explain;
+mod forecast;
 mod key;
 mod lookup;
 mod order;
@@ -16,6 +17,7 @@ use std::sync::Arc;
 pub use compare::compare;
 pub use estimate::Estimates;
 pub use explain::{Cause, Explanation, Explanations, explain};
+pub use forecast::{Forecast, Place};
 pub use key::{KeyInput, KeyInputs, NoKey, executable, key_of_record, named};
 pub(crate) use lookup::{Cached, digest_of, is_executable, key_of, look_up, record_inputs};
 pub use order::Order;

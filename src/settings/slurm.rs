@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
 use std::time::Duration;
 
+use dril_stage_api::Kind;
 use globset::Glob;
 use serde::{Deserialize, Deserializer, de};
 
@@ -72,6 +73,14 @@ impl SlurmSettings {
         }
         self.kinds.get(kind).into_iter().chain([&self.all]).for_each(|settings| all.fill_from(settings));
         all
+    }
+
+    /// True for kinds that run beside the engine: a stage that takes seconds has ended before a job would begin.
+    pub fn is_local(&self, kind: Kind) -> bool {
+        match &self.local {
+            Some(kinds) => kinds.iter().any(|name| name == kind.name()),
+            None => kind.worker().is_none() && !kind.is_program(),
+        }
     }
 
     /// Takes over what is not set yet.

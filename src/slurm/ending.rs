@@ -165,6 +165,10 @@ fn patience(home: &Home, end_state: &str) -> Result<u32, Failure> {
 fn last_lines(home: &Home) -> String {
     match fsx::tail(&home.path(OUTPUT), 5, 300) {
         Ok(lines) if !lines.is_empty() => format!(": {}", lines.join("; ")),
-        _ => String::new(),
+        // What a job prints is written by its node, too.
+        _ => format!(
+            ", and printed nothing: its node may not be able to write to `{}`, or have no free space there",
+            home.folder.display()
+        ),
     }
 }

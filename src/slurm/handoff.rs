@@ -20,6 +20,7 @@ use dril_stage_api::{Job, Message};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
+use super::build::Build;
 use super::scheduler::JobId;
 use crate::exec::Units;
 use crate::fsx::{self, FsError};
@@ -34,6 +35,9 @@ pub(super) struct Handoff {
     version: u32,
     /// The version of the engine's program.
     pub tool: String,
+    /// The builds of the programs that run the stage.
+    #[serde(default)]
+    pub build: Build,
     /// The stage, with paths in the job's folder.
     pub job: Job,
     /// The file for everything that the stage prints.
@@ -93,6 +97,7 @@ impl Handoff {
         Self {
             version: VERSION,
             tool: env!("CARGO_PKG_VERSION").to_owned(),
+            build: Build::new(),
             job,
             log: log.to_owned(),
             threads,

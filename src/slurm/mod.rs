@@ -5,6 +5,7 @@
 //! long-lived jobs, the pilots, which run `dril-pipe __pilot FOLDER`. The store lies on a file system that engine and nodes
 //! share. Jobs outlive their engine: the next one finds them and waits for them.
 
+mod build;
 mod commands;
 mod ending;
 mod handoff;

@@ -10,9 +10,10 @@ use std::time::{Duration, Instant};
 use dril_stage_api::{Message, Registry};
 use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1};
 
+use super::build;
 use super::handoff::{Ended, Handoff, Home, How};
 use crate::exec::{self, ChildRunner, EXIT_STOPPED, Exit, Failure, Launch, Runner};
-use crate::fsx;
+use crate::fsx::{self, FsError};
 
 /// The argument that makes this program run a job's stage: `dril-pipe __node FOLDER`.
 pub const NODE: &str = "__node";
@@ -26,8 +27,11 @@ const PROGRESS: Duration = Duration::from_secs(5);
 /// Runs the stage of a job. `job` is the scheduler's ID of it.
 ///
 /// The answer to the engine is a file; the exit code is for the scheduler: 0 unless the stage was stopped from outside and
-/// should run again, or nothing could be written.
-pub fn run_on_node(folder: &Path, job: &str, registry: &Registry) -> ExitCode {
+/// should run again.
+///
+/// # Errors
+/// The answer cannot be written. The text is for the output of the job, whose last lines the engine shows.
+pub fn run_on_node(folder: &Path, job: &str, registry: &Registry) -> Result<ExitCode, String> {
     let home = Home::new(folder.to_owned());
     let node = Node::new(job, registry);
     if let Ok(Some(Handoff { stop_after: Some(seconds), .. })) = home.handoff() {
@@ -35,12 +39,11 @@ pub fn run_on_node(folder: &Path, job: &str, registry: &Registry) -> ExitCode {
     }
     match node.run(&home) {
         Ok(Some(ended)) => match report(&home, &ended) {
-            Ok(()) => ExitCode::SUCCESS,
-            // Only the scheduler can still be notified.
-            Err(_) => ExitCode::FAILURE,
+            Ok(()) => Ok(ExitCode::SUCCESS),
+            Err(error) => Err(node.cannot_report(&ended, &error)),
         },
-        Ok(None) => ExitCode::SUCCESS,
-        Err(Interrupted) => ExitCode::from(EXIT_STOPPED),
+        Ok(None) => Ok(ExitCode::SUCCESS),
+        Err(Interrupted) => Ok(ExitCode::from(EXIT_STOPPED)),
     }
 }
 
@@ -97,6 +100,18 @@ impl<'a> Node<'a> {
         self.is_stopping()
     }
 
+    /// What to print where the engine cannot be notified how a stage ended. The engine shows the beginning of a long line.
+    fn cannot_report(&self, ended: &Ended, error: &FsError) -> String {
+        let before = match &ended.how {
+            How::Failed(before) | How::OutOfMemory(before) => format!("; before that: {before}"),
+            _ => String::new(),
+        };
+        let name = &self.name;
+        format!(
+            "on node `{name}`: every node must be able to write to the store, which needs free space: {error}{before}"
+        )
+    }
+
     /// How a stage ended that was stopped; `None` where the scheduler decides whether its job runs again.
     fn stopped(&self) -> Option<How> {
         self.late.load(Ordering::SeqCst).then_some(How::Stopped)
@@ -131,11 +146,8 @@ impl<'a> Node<'a> {
             }
             Err(error) => return failed(&error),
         };
-        if handoff.tool != env!("CARGO_PKG_VERSION") {
-            let (here, there) = (env!("CARGO_PKG_VERSION"), &handoff.tool);
-            return failed(&format!(
-                "`dril-pipe` is {here} on this node and {there} where the run was started"
-            ));
+        if let Err(error) = self.check_build(&handoff) {
+            return failed(&error);
         }
         if let Err(error) = clear(home) {
             return failed(&error);
@@ -150,6 +162,27 @@ impl<'a> Node<'a> {
             Err(Failure::OutOfMemory(error)) => ended(How::OutOfMemory(error), messages),
             Err(Failure::TimedOut(_)) => ended(How::TimedOut, messages),
             Err(failure) => ended(How::Failed(failure.to_string()), messages),
+        }
+    }
+
+    /// Checks that engine and node run the same programs.
+    fn check_build(&self, handoff: &Handoff) -> Result<(), String> {
+        const REMEDY: &str = "use the same files everywhere, and run again";
+        let (here, there) = (env!("CARGO_PKG_VERSION"), &handoff.tool);
+        if here != there {
+            return Err(format!(
+                "`dril-pipe` is {here} on this node and {there} where the run was started: {REMEDY}"
+            ));
+        }
+        let Ok(program) = std::env::current_exe() else { return Ok(()) };
+        let worker = self.registry.get(&handoff.job.kind).and_then(|kind| kind.worker());
+        match build::differing(&handoff.build, &build::of(&program, worker)) {
+            Some(name) => Err(format!(
+                "`{}` is not the build of `{name}` with which the run was started: it was built again while the job \
+                 waited, or the node has a copy of its own: {REMEDY}",
+                program.with_file_name(name).display()
+            )),
+            None => Ok(()),
         }
     }
 
@@ -218,7 +251,14 @@ fn clear(home: &Home) -> fsx::Result<()> {
 
 /// Writes how a stage ended, and then the notice that the engine looks for.
 pub(super) fn report(home: &Home, ended: &Ended) -> fsx::Result<()> {
-    home.write("ended.json", ended)?;
+    if let Err(error) = home.write("ended.json", ended) {
+        if ended.how == How::Done {
+            return Err(error);
+        }
+        // The outputs of a stage that failed may be what filled the disk.
+        clear(home)?;
+        home.write("ended.json", ended)?;
+    }
     match home.notice() {
         // Where this fails, the engine finds out when the job is gone.
         Some(notice) => fsx::write(&notice, ended.job.as_bytes()),

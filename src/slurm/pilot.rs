@@ -22,13 +22,15 @@ const PAUSES: (Duration, Duration) = (Duration::from_millis(10), Duration::from_
 const REFRESH: Duration = Duration::from_secs(1);
 
 /// Runs a pilot to its end. `job` is the scheduler's ID of its job.
-pub fn run_pilot(folder: &Path, job: &str, registry: &Registry) -> ExitCode {
+///
+/// # Errors
+/// Its files cannot be read or written. The scheduler then knows that the job failed, and the engine runs the stage elsewhere.
+pub fn run_pilot(folder: &Path, job: &str, registry: &Registry) -> Result<ExitCode, String> {
     let folder = PilotFolder(folder.to_owned());
-    match work(&folder, job, registry) {
-        Ok(()) => ExitCode::SUCCESS,
-        // The scheduler knows then that the job failed, and the engine runs the stage elsewhere.
-        Err(_) => ExitCode::FAILURE,
-    }
+    let name = rustix::system::uname().nodename().to_string_lossy().into_owned();
+    work(&folder, job, registry)
+        .map(|()| ExitCode::SUCCESS)
+        .map_err(|error| format!("on node `{name}`: {error}"))
 }
 
 fn work(folder: &PilotFolder, job: &str, registry: &Registry) -> fsx::Result<()> {

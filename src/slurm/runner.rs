@@ -6,8 +6,9 @@ use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
-use dril_stage_api::{Kind, Message, Progress};
+use dril_stage_api::{Message, Progress};
 
+use super::build;
 use super::ending::Endings;
 use super::handoff::{Ended, Handoff, Home, How, Submitted, notices};
 use super::node::NODE;
@@ -95,14 +96,6 @@ impl SlurmRunner {
             submitter,
             endings,
         })
-    }
-
-    /// True for a stage that runs beside the engine: one that takes seconds has ended before a job would begin.
-    fn is_local(&self, kind: Kind) -> bool {
-        match &self.settings.local {
-            Some(kinds) => kinds.iter().any(|name| name == kind.name()),
-            None => kind.worker().is_none() && !kind.is_program(),
-        }
     }
 
     /// The job's folder: for work with a key one that the next engine finds, otherwise the stage's private folder.
@@ -241,6 +234,7 @@ impl SlurmRunner {
         let threads = settings.threads.map_or(launch.threads, usize::from);
         let mut handoff = Handoff::new(job, launch.log, threads, launch.units, &launch.limits, launch.grace);
         let time = Wanted::of(launch, settings).time;
+        handoff.build = build::of(&self.site.program, launch.kind.worker());
         handoff.stop_after = stop_after(&*self.submitter.scheduler, time, settings);
         Ok(home.write("handoff.json", &handoff)?)
     }
@@ -348,7 +342,7 @@ impl Runner for SlurmRunner {
     }
 
     fn run(&self, launch: &Launch<'_>, on_message: &mut dyn FnMut(Message)) -> Result<Exit, Failure> {
-        if self.is_local(launch.kind) {
+        if self.settings.is_local(launch.kind) {
             let _threads = self.local_threads.take(launch.threads);
             return self.local.run(launch, on_message);
         }

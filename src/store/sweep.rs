@@ -32,6 +32,8 @@ pub struct Swept {
     pub blobs: usize,
     /// Folders of checkpoints.
     pub checkpoints: usize,
+    /// Folders of jobs of a cluster that nobody waits for.
+    pub jobs: usize,
     /// Folders of runs, with their logs.
     pub runs: usize,
     /// Freed bytes.
@@ -96,6 +98,7 @@ impl Store {
             swept.records.push((result.key, result.record.stage.clone(), result.used));
         }
         self.sweep_blobs(wish, &in_use, &results, &sizes, &mut swept)?;
+        self.sweep_jobs(wish, &in_use, &results, &mut swept)?;
         self.sweep_rest(wish, &in_use, (&results, &runs), &mut swept)?;
         Ok(swept)
     }
@@ -213,10 +216,7 @@ impl Store {
         swept: &mut Swept,
     ) -> Result<(), StoreError> {
         let done: HashSet<Key> = results.iter().map(|result| result.key).collect();
-        let old = |time: Option<SystemTime>| {
-            let age = time.and_then(|time| SystemTime::now().duration_since(time).ok()).unwrap_or_default();
-            wish.older_than.is_some_and(|limit| age > limit)
-        };
+        let old = |time| is_older(wish, time);
         for path in fsx::list(&self.root().join("checkpoints-v1"))? {
             let key =
                 path.file_name().and_then(|name| name.to_str()).and_then(|name| name.parse::<Key>().ok());
@@ -265,6 +265,47 @@ impl Store {
         Ok(())
     }
 
+    /// Removes the folders of jobs of a cluster whose stage has a result, or whose last sign of life is too old. Of the others a new run
+    /// takes over what their jobs made.
+    fn sweep_jobs(
+        &self,
+        wish: &Sweep,
+        in_use: &InUse,
+        results: &[Result_],
+        swept: &mut Swept,
+    ) -> Result<(), StoreError> {
+        let done: HashSet<Key> = results.iter().map(|result| result.key).collect();
+        let jobs = self.root().join("slurm-v1");
+        for path in fsx::list(&jobs)? {
+            let key = path.file_name().and_then(|name| name.to_str()).and_then(|name| name.parse().ok());
+            // Folders with other names belong to all jobs.
+            let Some(key) = key.filter(|key| !in_use.keys.contains(key)) else { continue };
+            let mut last = fsx::modified(&path)?;
+            for file in ["claim", "progress", "ended.json"] {
+                last = last.max(fsx::modified(&path.join(file))?);
+            }
+            if !done.contains(&key) && !is_older(wish, last)
+                || Lock::is_held(&self.checkpoints(&key).join("lock"))?
+            {
+                continue;
+            }
+            // An engine that waits for the job has the lock on its key.
+            let lock = if wish.dry_run { None } else { Some(self.try_lock(&key)?) };
+            if matches!(lock, Some(None)) || wish.dry_run && self.is_being_made(&key) {
+                continue;
+            }
+            if !wish.dry_run {
+                fsx::remove_file(&jobs.join("ended").join(key.hex()))?;
+            }
+            remove(&path, wish.dry_run, swept)?;
+            swept.jobs += 1;
+            if let Some(Some(lock)) = lock {
+                lock.remove()?;
+            }
+        }
+        Ok(())
+    }
+
     /// Removes locks and folders of dead runs. Before the lists of runs are read: a run of another machine that gave no sign of life
     /// for long, and goes on later, then finds its folder gone instead of relying on what is removed.
     fn sweep_dead(&self) -> Result<(), StoreError> {
@@ -282,6 +323,12 @@ impl Store {
         }
         Ok(())
     }
+}
+
+/// True where this time is longer ago than what is kept.
+fn is_older(wish: &Sweep, time: Option<SystemTime>) -> bool {
+    let age = time.and_then(|time| SystemTime::now().duration_since(time).ok()).unwrap_or_default();
+    wish.older_than.is_some_and(|limit| age > limit)
 }
 
 /// The lock that a file in `locks-v1` belongs to: it is named by a key, and what is beside it has an ending.

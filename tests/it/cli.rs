@@ -308,3 +308,21 @@ fn equal_stages_are_made_once_and_none_of_them_waits_for_its_own_engine() {
         "{said}"
     );
 }
+
+#[test]
+fn a_plan_for_a_cluster_forecasts_jobs_time_and_the_critical_path() {
+    let sealed = Sealed::with(WORDS);
+    sealed.write("dril-pipe.toml", "[slurm]\nlocal = []\nmax_threads = 16\n");
+    let text = sealed.run_ok("plan p.yaml --executor slurm");
+    assert!(text.contains("on Slurm: ") && text.contains(" jobs, 0 stages beside the engine"), "{text}");
+    assert!(text.contains("no stage has an estimate"), "{text}");
+    let value: Value = serde_json::from_str(&sealed.run_ok("plan p.yaml --executor slurm --json")).unwrap();
+    let forecast = &value["forecast"];
+    assert_eq!(forecast["jobs"], forecast["stages"]);
+    assert_eq!(forecast["times"].as_array().unwrap().last().unwrap()["threads"], 16);
+    assert!(!sealed.run_ok("plan p.yaml").contains("Slurm"));
+    let ended = sealed.run("plan p.yaml --executor nowhere");
+    assert!(ended.code == 2 && ended.stderr.contains("there is no such executor"), "{ended:?}");
+    sealed.run_ok("run p.yaml");
+    assert!(!sealed.run_ok("plan p.yaml --executor slurm").contains("on Slurm"), "nothing is to run");
+}

@@ -30,6 +30,7 @@ mod lab;
 mod language;
 mod limits;
 mod machines;
+mod nodes;
 mod page;
 mod parse;
 mod plan;

@@ -1,6 +1,6 @@
 //! What a plan says would run, and why.
 
-use dril_pipe::plan::{self, PlanError};
+use dril_pipe::plan::{self, Estimates, Forecast, Place, PlanError};
 use dril_pipe::store::Key;
 use serde_json::json;
 
@@ -200,4 +200,50 @@ fn a_revised_kind_is_named_as_the_reason() {
     std::fs::write(&path, serde_json::to_vec(&record).unwrap()).unwrap();
     std::fs::write(&history, line.replace(&key.hex(), &old.hex())).unwrap();
     assert_eq!(lab.verdicts(&pipeline())[0], "north: run [revision 0 -> 1]");
+}
+
+#[test]
+fn the_forecast_for_a_cluster_counts_jobs_and_finds_the_longest_chain() {
+    let lab = Lab::new();
+    let stages = |to: u64| {
+        vec![
+            StageLine::new("long", "count", json!({"to": to, "cost": to, "step_millis": 20})),
+            StageLine::new("short", "count", json!({"to": 1, "cost": to, "mishap": "chatter", "at": 9})),
+            StageLine::new("join", "concat", json!({"cost": to})).reads("parts", &["long", "short"]),
+        ]
+    };
+    lab.run(&stages(3));
+    let graph = scenario::graph(&stages(30));
+    let plan = lab.plan(&graph);
+    let estimates = Estimates::of(&plan, &lab.store).unwrap();
+    let long = plan.steps[0].0;
+    // Half of what the long stage takes, so that it takes three jobs.
+    let limit = estimates.stage(long).unwrap().mul_f64(0.4);
+    let forecast = Forecast::of(&plan, &estimates, 64, |stage| match &*stage.name {
+        "join" => Place::Beside,
+        "long" => Place::Job(Some(limit)),
+        _ => Place::Job(None),
+    });
+    assert_eq!((forecast.jobs, forecast.beside, forecast.stale, forecast.unknown), (4, 1, 3, 0));
+    let chain: Vec<&str> = forecast.critical.iter().map(|stage| &*graph.stages[*stage].name).collect();
+    assert_eq!(chain, ["long", "join"]);
+    let threads: Vec<usize> = forecast.times.iter().map(|(threads, _)| *threads).collect();
+    assert_eq!(threads, [1, 8, 32, 64]);
+    let times: Vec<_> = forecast.times.iter().map(|(_, time)| *time).collect();
+    // One thread takes all stages one after the other, many as long as the chain.
+    assert!(times[0] > times[1] && times[1] == times[3], "{times:?}");
+    assert!(times[3].abs_diff(forecast.shortest).as_millis() < 1, "{times:?} {:?}", forecast.shortest);
+    let others = estimates.stage(plan.steps[1].0).unwrap();
+    assert!(times[0].abs_diff(forecast.shortest + others).as_millis() < 1, "{times:?} {others:?}");
+}
+
+#[test]
+fn a_forecast_says_how_much_it_does_not_know() {
+    let lab = Lab::new();
+    let graph = scenario::graph(&pipeline());
+    let plan = lab.plan(&graph);
+    let estimates = Estimates::of(&plan, &lab.store).unwrap();
+    let forecast = Forecast::of(&plan, &estimates, 8, |_| Place::Job(None));
+    assert_eq!((forecast.jobs, forecast.unknown, forecast.stale), (4, 4, 4));
+    assert_eq!(forecast.shortest, std::time::Duration::ZERO);
 }

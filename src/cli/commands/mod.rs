@@ -1,6 +1,7 @@
 //! The subcommands, one file or folder each.
 
 pub(super) mod cache;
+mod forecast;
 pub(super) mod graph;
 pub(super) mod inspect;
 pub(super) mod kinds;

@@ -5,10 +5,12 @@ use std::process::ExitCode;
 use dril_stage_api::Registry;
 use serde_json::{Value, json};
 
+use super::forecast::OnCluster;
 use crate::cli::args::PlanArgs;
+use crate::cli::executor::{self, Cluster};
 use crate::cli::names::Names;
 use crate::cli::terminal::{Style, Terminal, count, estimate, print};
-use crate::cli::{columns, pipeline, why};
+use crate::cli::{columns, pipeline, shared, why};
 use crate::error::Error;
 use crate::exec::Options;
 use crate::plan::{self, Counts, Estimates, Plan, Verdict};
@@ -23,17 +25,33 @@ pub(in crate::cli) fn main(args: &PlanArgs, registry: &Registry) -> Result<ExitC
     let session = pipeline::session(&args.pipeline, &args.store, registry)?;
     let session = session.selection(args.select.selection());
     let loaded = session.load()?;
-    show(&loaded.plan()?, session.store(), args.json, args.all)?;
+    let cluster = executor::cluster(&args.executor, shared::settings(Some(&args.pipeline.file))?)?;
+    print_plan(&loaded.plan()?, session.store(), (args.json, args.all), cluster.as_ref())?;
     Ok(ExitCode::SUCCESS)
 }
 
-/// Prints a plan.
+/// Prints a plan for this machine.
 pub(super) fn show(plan: &Plan<'_>, store: &Store, json: bool, all: bool) -> Result<(), Error> {
+    print_plan(plan, store, (json, all), None)
+}
+
+fn print_plan(
+    plan: &Plan<'_>,
+    store: &Store,
+    (json, all): (bool, bool),
+    cluster: Option<&Cluster>,
+) -> Result<(), Error> {
     let estimates = Estimates::of(plan, store)?;
+    let forecast = cluster.map(|cluster| OnCluster::of(plan, &estimates, cluster));
     if json {
-        print(&format!("{:#}\n", as_json(plan, &estimates)))
+        let mut value = as_json(plan, &estimates);
+        if let Some(forecast) = forecast {
+            value["forecast"] = forecast.json(plan);
+        }
+        print(&format!("{value:#}\n"))
     } else {
-        print(&table(plan, &estimates, all, Terminal::stdout()))
+        let forecast = forecast.map(|forecast| forecast.text(plan)).unwrap_or_default();
+        print(&(table(plan, &estimates, all, Terminal::stdout()) + &forecast))
     }
 }
 

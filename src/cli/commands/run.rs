@@ -17,7 +17,7 @@ use crate::session::{LockMode, UpToDate};
 
 pub(in crate::cli) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Error> {
     let began = Instant::now();
-    let cluster = executor::cluster(args, shared::settings(Some(&args.pipeline.file))?)?;
+    let cluster = executor::cluster(&args.executor.executor, shared::settings(Some(&args.pipeline.file))?)?;
     let mut options = options(args, began)?;
     executor::adapt(&mut options, args, cluster.as_ref());
     let session = pipeline::session(&args.pipeline, &args.store, registry)?

@@ -15,10 +15,35 @@ impl<S: Stage> Stage for InWorker<S> {
     type Kind = S::Kind;
 
     fn run(params: &<S::Kind as Describe>::Params, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
+        check(&processor())?;
         prepare();
         fingerprint::record(ctx);
         S::run(params, ctx)
     }
+}
+
+/// The features of the processor that results are promised with, and whether it has them.
+#[cfg(target_arch = "x86_64")]
+fn processor() -> [(&'static str, bool); 2] {
+    [("AVX2", is_x86_feature_detected!("avx2")), ("FMA", is_x86_feature_detected!("fma"))]
+}
+
+#[cfg(not(target_arch = "x86_64"))]
+fn processor() -> [(&'static str, bool); 0] {
+    []
+}
+
+/// Without these instructions a training of an hour takes days, so it is an error before it begins.
+fn check(features: &[(&str, bool)]) -> Result<(), StageError> {
+    let lacking: Vec<&str> = features.iter().filter(|(_, there)| !there).map(|(name, _)| *name).collect();
+    if lacking.is_empty() {
+        return Ok(());
+    }
+    Err(StageError::failed(format!(
+        "this processor has no {}, which learning stages need: use another machine; on a cluster, exclude such nodes, as \
+         with `extra = [\"--constraint=avx2\"]` in `dril-pipe.toml`",
+        lacking.join(" and no ")
+    )))
 }
 
 /// Sets up the process: the allocator keeps freed memory, and libtorch uses one thread.
@@ -48,5 +73,21 @@ fn keep_freed_memory() {
         libc::mallopt(libc::M_MMAP_THRESHOLD, 1 << 30);
         libc::mallopt(libc::M_TRIM_THRESHOLD, i32::MAX);
         libc::mallopt(libc::M_TOP_PAD, 64 << 20);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_processor_without_avx2_is_an_error_that_says_what_to_do() {
+        assert!(check(&[("AVX2", true), ("FMA", true)]).is_ok());
+        let error = check(&[("AVX2", false), ("FMA", false)]).unwrap_err().to_string();
+        assert!(
+            error.starts_with("this processor has no AVX2 and no FMA, which learning stages need"),
+            "{error}"
+        );
+        assert!(error.contains("--constraint=avx2"), "{error}");
     }
 }

@@ -80,6 +80,9 @@ fn text(swept: &Swept, dry_run: bool) -> String {
         size(swept.freed),
         size(swept.left),
     );
+    if swept.jobs > 0 {
+        text += &format!("{word} {} of jobs of a cluster\n", count(swept.jobs, "folder"));
+    }
     if swept.in_use > 0 {
         text += &format!("{} remain because a running process uses them\n", count(swept.in_use, "result"));
     }
@@ -96,7 +99,7 @@ fn as_json(swept: &Swept, dry_run: bool) -> Value {
         .collect();
     json!({
         "dry_run": dry_run, "results": records, "contents": swept.blobs, "checkpoints": swept.checkpoints,
-        "runs": swept.runs, "freed": swept.freed, "left": swept.left, "in_use": swept.in_use,
+        "jobs": swept.jobs, "runs": swept.runs, "freed": swept.freed, "left": swept.left, "in_use": swept.in_use,
         "too_much": swept.too_much,
     })
 }
