@@ -85,6 +85,8 @@ pub struct InputOutcome {
     pub from: String,
     /// Its labels.
     pub labels: BTreeMap<String, String>,
+    /// The path of an external file; `None` for an output of a stage. Never shown, since it reveals local paths.
+    pub path: Option<PathBuf>,
 }
 
 /// An output of a stage.

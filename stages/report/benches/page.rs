@@ -72,6 +72,7 @@ fn large(folder: &Path) -> PipelineOutcome {
         stage: Some(1000),
         from: "log".to_owned(),
         labels: BTreeMap::new(),
+        path: None,
     }];
     stages.push(figure);
     PipelineOutcome {

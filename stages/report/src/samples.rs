@@ -44,11 +44,19 @@ pub(crate) fn read<'a>(ctx: &Ctx<'a>) -> Result<Vec<Sample<'a>>, StageError> {
     let mut samples = Vec::with_capacity(items.len());
     for item in items {
         ctx.stop_if_cancelled()?;
-        let rows = scores::read(PORT, item.path)?;
-        let diverged = rows.iter().any(|row| row.diverged_at_step.is_some());
-        samples.push(Sample { item, scores: rows.iter().map(|row| row.score).collect(), diverged });
+        samples.push(sample(item)?);
     }
     Ok(samples)
+}
+
+/// Reads one evaluation.
+///
+/// # Errors
+/// The file has no scores.
+pub(crate) fn sample(item: InputItem<'_>) -> Result<Sample<'_>, StageError> {
+    let rows = scores::read(PORT, item.path)?;
+    let diverged = rows.iter().any(|row| row.diverged_at_step.is_some());
+    Ok(Sample { item, scores: rows.iter().map(|row| row.score).collect(), diverged })
 }
 
 /// Refuses two items with the same labels.

@@ -2,9 +2,12 @@
 //!
 //! The CSV has one row per combination of keys; the Markdown shows the same as a grid.
 
-use dril_stage_api::{Artifact, Ctx, Describe, Ports, Problems, Stage, StageError};
+use std::path::Path;
+
+use dril_stage_api::{Artifact, Ctx, Describe, InputItem, Ports, Problems, Stage, StageError};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use crate::caption::{self, Caption, statistic};
 use crate::markdown::{self, escape};
@@ -104,18 +107,39 @@ impl Stage for Table {
 
     fn run(params: &TableParams, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
         let samples = samples::read(ctx)?;
-        let groups = samples::pool(
-            &samples,
-            &params.keys,
-            "take the key out of `keys`, or wire the input to stages that have that axis",
-        )?;
-        let keys: Vec<&str> = params.keys.iter().map(String::as_str).collect();
-        let path = ctx.optional_input(reference::PORT);
-        let reference = path.map(|path| Reference::read(path, &keys)).transpose()?;
+        let groups = pool(params, &samples)?;
+        let reference = read_reference(params, ctx.optional_input(reference::PORT))?;
         let cells = cells(&groups, reference.as_ref());
         ctx.write_output("csv", csv_text(params, &cells).map_err(StageError::failed)?)?;
         ctx.write_output("markdown", page(params, &samples, &groups, &cells, reference.is_some()))
     }
+}
+
+/// The CSV of a table with these parameters over some of its evaluations, as the report shows a table whose stage waits for
+/// the others. `None` for parameters of another kind.
+///
+/// # Errors
+/// As those of the stage.
+pub(crate) fn of_some(
+    params: &Value,
+    items: Vec<InputItem<'_>>,
+    reference: Option<&Path>,
+) -> Result<Option<Vec<u8>>, StageError> {
+    let Ok(params) = serde_json::from_value::<TableParams>(params.clone()) else { return Ok(None) };
+    let samples = items.into_iter().map(samples::sample).collect::<Result<Vec<_>, _>>()?;
+    let groups = pool(&params, &samples)?;
+    let reference = read_reference(&params, reference)?;
+    csv_text(&params, &cells(&groups, reference.as_ref())).map(Some).map_err(StageError::failed)
+}
+
+fn pool(params: &TableParams, samples: &[Sample<'_>]) -> Result<Vec<Group>, StageError> {
+    let hint = "take the key out of `keys`, or wire the input to stages that have that axis";
+    samples::pool(samples, &params.keys, hint)
+}
+
+fn read_reference(params: &TableParams, path: Option<&Path>) -> Result<Option<Reference>, StageError> {
+    let keys: Vec<&str> = params.keys.iter().map(String::as_str).collect();
+    path.map(|path| Reference::read(path, &keys)).transpose()
 }
 
 fn check_keys(keys: &[String], problems: &mut Problems) {

@@ -25,8 +25,9 @@ pub(super) fn outcome(
     folder: &Path,
 ) -> Result<PipelineOutcome, Error> {
     let plan = plan::plan(graph, store, &pipeline::source(args).base())?;
-    let viewer =
-        Viewer { plan: &plan, store, failures: Failures::of(&plan, store)?, files: files(graph, folder) };
+    let base = pipeline::source(args).base();
+    let failures = Failures::of(&plan, store)?;
+    let viewer = Viewer { plan: &plan, store, base: &base, failures, files: files(graph, folder) };
     let stages = graph.stages.node_indices().map(|stage| viewer.stage(stage)).collect::<Result<_, _>>()?;
     Ok(PipelineOutcome {
         pipeline: graph.pipeline.clone(),
@@ -59,6 +60,8 @@ fn files(graph: &Graph, folder: &Path) -> BTreeMap<(String, String), String> {
 struct Viewer<'a> {
     plan: &'a Plan<'a>,
     store: &'a Store,
+    /// The folder that external files are relative to.
+    base: &'a Path,
     failures: Failures,
     files: BTreeMap<(String, String), String>,
 }
@@ -88,7 +91,7 @@ impl Viewer<'_> {
             seed: stage.seed.map(|seed| seed.0),
             state,
             key: key.map(|key| key.hex()),
-            inputs: inputs(stage),
+            inputs: inputs(stage, self.base),
             outputs: record.as_ref().map_or_else(Vec::new, |record| self.outputs(stage, record)),
             seconds: record.as_ref().map(|record| record.seconds),
             made_with: record.map(made_with).unwrap_or_default(),
@@ -113,14 +116,14 @@ impl Viewer<'_> {
     }
 }
 
-fn inputs(stage: &StageInstance) -> Vec<InputOutcome> {
+fn inputs(stage: &StageInstance, base: &Path) -> Vec<InputOutcome> {
     let sources = stage.inputs.iter().flat_map(|wire| wire.sources.iter().map(|source| (wire.port, source)));
     let input = |(port, source): (&'static str, &crate::resolve::Source)| {
-        let (stage, from) = match &source.from {
-            Origin::Stage { stage, output } => (Some(stage.index()), (*output).to_owned()),
-            Origin::File { path, .. } => (None, path.clone()),
+        let (stage, from, path) = match &source.from {
+            Origin::Stage { stage, output } => (Some(stage.index()), (*output).to_owned(), None),
+            Origin::File { path, .. } => (None, path.clone(), Some(base.join(path))),
         };
-        InputOutcome { port: port.to_owned(), stage, from, labels: source.labels.clone() }
+        InputOutcome { port: port.to_owned(), stage, from, labels: source.labels.clone(), path }
     };
     sources.map(input).collect()
 }

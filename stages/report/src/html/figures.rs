@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use dril_stage_api::outcome::{OutputOutcome, PipelineOutcome, StageOutcome};
+use dril_stage_api::outcome::{OutputOutcome, PipelineOutcome, StageOutcome, State};
 use dril_stage_api::{Artifact, InputItem, Labels, StageError};
 use maud::{Markup, PreEscaped, html};
 
@@ -110,7 +110,9 @@ pub(crate) type Member<'o> = (Vec<(String, String)>, &'o OutputOutcome);
 /// Default figures of scores and training logs that no figure of the pipeline reads.
 pub(crate) fn automatic(outcome: &PipelineOutcome, room: &mut Room) -> Result<Option<Section>, StageError> {
     let drawn = |name: &str, output: &str| {
-        outcome.stages.iter().filter(|stage| stage.kind == "figure").any(|figure| {
+        let figures =
+            outcome.stages.iter().filter(|stage| stage.kind == "figure" && stage.state == State::Done);
+        figures.into_iter().any(|figure| {
             figure.inputs.iter().any(|input| {
                 input.from == output
                     && input.stage.and_then(|at| outcome.stages.get(at)).is_some_and(|s| s.name == name)
@@ -144,7 +146,7 @@ pub(crate) fn automatic(outcome: &PipelineOutcome, room: &mut Room) -> Result<Op
         }
     }
     let body = html! {
-        p class="quiet" { "Scores and training logs that no figure of the pipeline draws." }
+        p class="quiet" { "Scores and training logs that no finished figure of the pipeline draws." }
         @for body in &bodies { (body) }
     };
     Ok((!bodies.is_empty()).then_some(Section { anchor: "curves", title: "Scores and training logs", body }))

@@ -1,6 +1,7 @@
 //! A table of the kind `table` as a grid: values of this run above the published ones, coloured by their distance in
 //! standard errors.
 
+use dril_stage_api::Labels;
 use maud::{Markup, html};
 use serde_json::Value;
 
@@ -97,6 +98,12 @@ fn step(distance: f64) -> i32 {
 impl Grid {
     /// The grid of a table's CSV under its parameters; `None` where they do not belong together.
     pub(crate) fn of(params: &Value, csv: &Csv) -> Option<Self> {
+        Self::with_gaps(params, csv, &[])
+    }
+
+    /// As [`Self::of`], with empty cells for combinations that have no row yet. `all` are the labels of the evaluations of
+    /// the whole table, in the order of the matrix.
+    pub(crate) fn with_gaps(params: &Value, csv: &Csv, all: &[&Labels]) -> Option<Self> {
         let (keys, across) = (list(params, "keys"), list(params, "columns"));
         let mut grid = Self {
             down: keys.iter().filter(|key| !across.contains(key)).cloned().collect(),
@@ -106,25 +113,37 @@ impl Grid {
             cells: Vec::new(),
         };
         // A key with one value in the whole table says nothing about its rows.
-        let varies =
-            |key: &String| csv.rows.iter().any(|row| csv.cell(row, key) != csv.cell(&csv.rows[0], key));
+        let varies = |key: &String| {
+            csv.rows.iter().any(|row| csv.cell(row, key) != csv.cell(&csv.rows[0], key))
+                || all.iter().any(|labels| labels.get(key) != all[0].get(key))
+        };
         grid.down.retain(varies);
         grid.across.retain(varies);
+        for labels in all {
+            let take = |keys: &[String]| -> Vec<String> {
+                keys.iter().map(|key| labels.get(key).cloned().unwrap_or_default()).collect()
+            };
+            grid.add(&take(&grid.down), &take(&grid.across));
+        }
         for row in &csv.rows {
             let take = |keys: &[String]| -> Vec<String> {
                 keys.iter().map(|key| csv.cell(row, key).to_owned()).collect()
             };
             let (down, across) = (take(&grid.down), take(&grid.across));
-            if !grid.rows.contains(&down) {
-                grid.rows.push(down.clone());
-            }
-            if !grid.columns.contains(&across) {
-                grid.columns.push(across.clone());
-            }
+            grid.add(&down, &across);
             grid.cells.push((down, across, Cell::of(csv, row)?));
         }
         crate::pivot::sort_by_appearance(&mut grid.columns, Vec::as_slice);
         Some(grid)
+    }
+
+    fn add(&mut self, down: &[String], across: &[String]) {
+        if !self.rows.iter().any(|row| row == down) {
+            self.rows.push(down.to_vec());
+        }
+        if !self.columns.iter().any(|column| column == across) {
+            self.columns.push(across.to_vec());
+        }
     }
 
     fn cell(&self, down: &[String], across: &[String]) -> Option<&Cell> {

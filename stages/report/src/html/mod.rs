@@ -62,6 +62,7 @@ pub fn page(
     let findings = findings::section(outcome)?;
     let sections: Vec<Section> = [
         compared,
+        tables::so_far(outcome),
         tables::first(outcome)?,
         findings,
         figures::section(outcome, &mut room)?,

@@ -1,11 +1,12 @@
 //! The tables of the report: the largest first, the others folded.
 
-use dril_stage_api::outcome::{OutputOutcome, PipelineOutcome, StageOutcome};
-use dril_stage_api::{Artifact, StageError};
+use dril_stage_api::outcome::{InputOutcome, OutputOutcome, PipelineOutcome, StageOutcome, State};
+use dril_stage_api::{Artifact, InputItem, Labels, StageError};
 use maud::{Markup, html};
 
 use super::csvs::Csv;
 use super::{Room, Section, count, grid, link, made, read, title_of};
+use crate::{reference, samples};
 
 /// Tables shown, at most; the rest are links.
 const MOST_TABLES: usize = 40;
@@ -38,6 +39,39 @@ pub(crate) fn first(outcome: &PipelineOutcome) -> Result<Option<Section>, StageE
     let Some((stage, output, csv)) = first_of(&tables(outcome))? else { return Ok(None) };
     let body = html! { (table(stage, &csv)) (files(stage, output)) };
     Ok(Some(Section { anchor: "results", title: "Results", body }))
+}
+
+/// The largest table that waits for evaluations, as far as it is known: what a run of days shows on its way.
+pub(crate) fn so_far(outcome: &PipelineOutcome) -> Option<Section> {
+    let waiting = outcome.stages.iter().filter(|stage| stage.kind == "table" && stage.state != State::Done);
+    let stage = waiting.max_by_key(|stage| evaluations(stage).count())?;
+    let done = |input: &InputOutcome| {
+        let source = outcome.stages.get(input.stage?).filter(|source| source.state == State::Done)?;
+        source.outputs.iter().find(|output| output.name == input.from)
+    };
+    let items: Vec<InputItem<'_>> = evaluations(stage)
+        .filter_map(|input| Some(InputItem { path: &done(input)?.path, labels: &input.labels }))
+        .collect();
+    if items.is_empty() {
+        return None;
+    }
+    let known = items.len();
+    let reference = stage.inputs.iter().find(|input| input.port == reference::PORT);
+    let reference = reference.and_then(|input| input.path.as_deref());
+    // A table that cannot be made must not prevent the report; its stage will fail and say why.
+    let csv = Csv::parse(&crate::table::of_some(&stage.params, items, reference).ok()??)?;
+    let labels: Vec<&Labels> = evaluations(stage).map(|input| &input.labels).collect();
+    let grid = grid::Grid::with_gaps(&stage.params, &csv, &labels)?;
+    let body = html! {
+        p { strong { (known) " of " (labels.len()) " evaluations are done." } " Cells without one are empty." }
+        (grid.table(&title_of(stage)))
+        p class="quiet" { "Stage " code { (stage.id) } " runs when all are done." }
+    };
+    Some(Section { anchor: "so-far", title: "Results so far", body })
+}
+
+fn evaluations(stage: &StageOutcome) -> impl Iterator<Item = &InputOutcome> {
+    stage.inputs.iter().filter(|input| input.port == samples::PORT)
 }
 
 /// All other tables.

@@ -104,6 +104,7 @@ impl Lab {
                 stage: Some(*stage),
                 from: (*output).to_owned(),
                 labels: source.labels.iter().cloned().collect(),
+                path: None,
             });
         }
         if let Some(reference) = reference {
@@ -229,6 +230,36 @@ fn thesis(profile: &str, episodes: usize) -> Lab {
     });
     lab.run::<Figure>("figure35", "figure", &losses, "data", &ensembles[..2], None);
     lab
+}
+
+#[test]
+fn a_table_that_waits_for_evaluations_is_shown_as_far_as_it_is_known() {
+    let mut lab = thesis("thesis", 100);
+    let at = lab.outcome.stages.iter().position(|stage| stage.name == "table22").unwrap();
+    for stage in &mut lab.outcome.stages[at..] {
+        (stage.state, stage.outputs) = (State::Waiting, Vec::new());
+    }
+    lab.outcome.stages[at].inputs.push(InputOutcome {
+        port: "reference".into(),
+        stage: None,
+        from: "reference/table22.csv".into(),
+        labels: BTreeMap::new(),
+        path: Some(fakes::reference("table22.csv")),
+    });
+    // Only behaviour cloning is done, so that the method varies among what is missing only.
+    for stage in lab.outcome.stages.iter_mut().filter(|stage| stage.name == "evaluate") {
+        if !stage.id.contains("bc") {
+            (stage.state, stage.outputs) = (State::Stale, Vec::new());
+        }
+    }
+    let text = lab.page("so-far");
+    let section = text.split("id=\"so-far\"").nth(1).unwrap().split("</section>").next().unwrap();
+    assert!(section.contains("16 of 48 evaluations are done."), "{section}");
+    assert_eq!(section.matches("class=\"ref\"").count(), 16, "{section}");
+    assert_eq!(section.matches("<tr>").count(), 1 + 12, "all rows of the table are there: {section}");
+    // A figure that waits draws nothing, so its scores have the default one.
+    assert!(text.contains("<code>evaluate.scores</code>"));
+    assert!(!thesis("thesis", 100).page("thesis").contains("id=\"so-far\""));
 }
 
 #[test]
