@@ -1,4 +1,4 @@
-//! The part of the measurement that needs two machines: one leads, the other attends. They speak through files alone.
+//! The part of the measurement that needs two machines: one leads, the other attends. They communicate through files alone.
 //!
 //! Who attends creates `peer-…` and touches it; who leads finds it and writes the name of a folder into it. In that folder the two
 //! answer each other: `ping-3` of the leader is answered by `pong-3`.
@@ -14,7 +14,7 @@ use crate::fsx::{self, FsError, Result, clock, heartbeat, host};
 const LOOK: Duration = Duration::from_millis(2);
 /// How long an answer may take: network file systems show a new file after a minute at the latest.
 const PATIENCE: Duration = Duration::from_secs(90);
-/// How often one that attends touches its file; after five times of it nobody is there.
+/// How often one that attends touches its file; after five times that period it counts as gone.
 const TOUCH: Duration = Duration::from_secs(1);
 /// Answers that are measured, where they come quickly.
 const ROUNDS: usize = 20;
@@ -102,7 +102,7 @@ pub(super) fn lead(place: &Path) -> Result<Vec<Check>> {
         checks.extend(measure(place, &card, &machine)?);
     }
     if checks.is_empty() {
-        let seen = "not measured: nobody attends";
+        let seen = "not measured: no other machine answers";
         let means = "run `dril-pipe cache doctor DIR --peer` on another machine first, then this again";
         checks.push(Check::new("peer", Health::Unknown, seen, means));
     }
