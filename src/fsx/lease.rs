@@ -117,10 +117,6 @@ fn remove(path: &Path, other: &Seen, alone: bool, depth: u32) -> Result<bool> {
 fn create(path: &Path, patience: Duration) -> Result<Option<Lease>> {
     static COUNT: AtomicU64 = AtomicU64::new(0);
     step("write", path)?;
-    let mut file = match OpenOptions::new().write(true).create_new(true).open(path) {
-        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => return Ok(None),
-        file => file.map_err(FsError::at("make the lease", path))?,
-    };
     let began = clock::since_boot();
     let (host, process) = (host::this(), std::process::id());
     let time = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos();
@@ -130,10 +126,20 @@ fn create(path: &Path, patience: Duration) -> Result<Option<Lease>> {
     let (millis, Host { boot, name }) = (patience.as_millis(), host);
     let text =
         format!("{FORMAT} {millis} {boot}:{device} {name} {process} {process:x}-{time:x}-{number:x}\n");
+    // Nothing but the write comes after it: a process that is killed in between leaves a lease without an owner.
+    let mut file = match OpenOptions::new().write(true).create_new(true).open(path) {
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => return Ok(None),
+        file => file.map_err(FsError::at("make the lease", path))?,
+    };
     if let Err(error) = file.write_all(text.as_bytes()) {
         // A lease without an owner would be held until it is old.
         let _ = std::fs::remove_file(path);
         return Err(FsError::at("write", path)(error));
+    }
+    // One that stood still in between may have been taken for dead.
+    let is_late = clock::since_boot().saturating_sub(began) > 1000;
+    if is_late && Seen::at(path)?.is_none_or(|seen| seen.text() != text) {
+        return Ok(None);
     }
     let beat = heartbeat::begin(path.to_owned(), text, began, patience);
     Ok(Some(Lease { beat, patience }))

@@ -13,6 +13,9 @@ pub const WORK: Duration = Duration::from_secs(60);
 /// not to lose what it relies on.
 pub const RUN: Duration = Duration::from_secs(15 * 60);
 
+/// How long a lease is held that names no owner yet: its owner does so with the next system call after it made the file.
+const UNNAMED: Duration = Duration::from_secs(5);
+
 /// The first word of a lease: its format.
 pub(super) const FORMAT: &str = "lease-1";
 
@@ -67,7 +70,7 @@ impl Seen {
         if alone && owner.as_ref().is_some_and(|owner| owner.is_here(path)) {
             return false;
         }
-        let patience = owner.map_or_else(|| super::fault::patience(WORK), |owner| owner.patience);
+        let patience = owner.map_or(super::fault::patience(WORK).min(UNNAMED), |owner| owner.patience);
         self.age(path) < patience
     }
 

@@ -17,7 +17,8 @@ fn doctor(folder: &Path, more: &[&str]) -> Command {
 /// Health by name of the check.
 fn health(folder: &Path) -> BTreeMap<String, String> {
     let output = doctor(folder, &["--json"]).output().unwrap();
-    let value: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let error = String::from_utf8_lossy(&output.stderr);
+    let value: Value = serde_json::from_slice(&output.stdout).unwrap_or_else(|_| panic!("{error}"));
     let text = |check: &Value, field: &str| check[field].as_str().unwrap().to_owned();
     let checks = value["checks"].as_array().unwrap();
     let health: BTreeMap<String, String> =
