@@ -11,7 +11,7 @@ use std::time::Duration;
 use dril_pipe::exec::Options;
 use dril_pipe::settings::SlurmSettings;
 use dril_pipe::slurm::{JobId, Pace, Scheduler, Seen, Site, SlurmRunner, State, Submission, SubmitError};
-use dril_pipe::store::{Key, Store, Sweep};
+use dril_pipe::store::{Key, Sweep};
 use serde_json::{Value, json};
 
 use crate::lab::{Lab, fakes_program};
