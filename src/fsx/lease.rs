@@ -126,15 +126,8 @@ fn create(path: &Path, patience: Duration) -> Result<Option<Lease>> {
     let (millis, Host { boot, name }) = (patience.as_millis(), host);
     let text =
         format!("{FORMAT} {millis} {boot}:{device} {name} {process} {process:x}-{time:x}-{number:x}\n");
-    // Nothing but the write comes after it: a process that is killed in between leaves a lease without an owner.
-    let mut file = match OpenOptions::new().write(true).create_new(true).open(path) {
-        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => return Ok(None),
-        file => file.map_err(FsError::at("make the lease", path))?,
-    };
-    if let Err(error) = file.write_all(text.as_bytes()) {
-        // A lease without an owner would be held until it is old.
-        let _ = std::fs::remove_file(path);
-        return Err(FsError::at("write", path)(error));
+    if !place(path, &text)? {
+        return Ok(None);
     }
     // One that stood still in between may have been taken for dead.
     let is_late = clock::since_boot().saturating_sub(began) > 1000;
@@ -143,6 +136,43 @@ fn create(path: &Path, patience: Duration) -> Result<Option<Lease>> {
     }
     let beat = heartbeat::begin(path.to_owned(), text, began, patience);
     Ok(Some(Lease { beat, patience }))
+}
+
+/// Puts a file with this text at `path`; false where there is one. It appears with its text, so that a process that is killed
+/// leaves no lease without an owner: it is written beside its place, and linked there.
+fn place(path: &Path, text: &str) -> Result<bool> {
+    if std::fs::symlink_metadata(path).is_ok() {
+        return Ok(false);
+    }
+    let name = text.trim_end().rsplit(' ').next().unwrap_or_default();
+    let mut draft = path.as_os_str().to_owned();
+    draft.push(format!(".{name}.new"));
+    let draft = PathBuf::from(draft);
+    write_new(&draft, text)?;
+    let linked = std::fs::hard_link(&draft, path);
+    let _ = std::fs::remove_file(&draft);
+    match linked {
+        Ok(()) => Ok(true),
+        // A file server that answers twice says so of the link that it has made itself.
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
+            Ok(Seen::at(path)?.is_some_and(|seen| seen.text() == text))
+        }
+        // There are no hard links here.
+        Err(_) => match write_new(path, text) {
+            Err(error) if error.source.kind() == io::ErrorKind::AlreadyExists => Ok(false),
+            written => written.map(|()| true),
+        },
+    }
+}
+
+fn write_new(path: &Path, text: &str) -> Result<()> {
+    let file = OpenOptions::new().write(true).create_new(true).open(path);
+    let mut file = file.map_err(FsError::at("make the lease", path))?;
+    file.write_all(text.as_bytes()).map_err(|error| {
+        // A lease without an owner would be held until it is old.
+        let _ = std::fs::remove_file(path);
+        FsError::at("write", path)(error)
+    })
 }
 
 #[cfg(test)]
