@@ -23,7 +23,7 @@ pub(in crate::cli) enum CacheCommand {
     Gc(GcArgs),
     /// Show disk usage by folder and by stage
     Du(DuArgs),
-    /// Measure whether a file system gives what a cache relies on, on this machine and between two
+    /// Check that a file system provides what a cache needs, on this machine and between two
     Doctor(DoctorArgs),
     /// Write a run with its results and provenance to an archive (a Workflow Run RO-Crate)
     Export(ExportArgs),

@@ -166,7 +166,8 @@ fn questions(talk: &mut Talk, machine: &str) -> Result<Vec<Check>> {
     let health = if longest > SLOW { Health::Degraded } else { Health::Ok };
     let seen =
         format!("`{machine}` answers after {} ms, at most {} ms", middle.as_millis(), longest.as_millis());
-    let means = "results of other machines are seen so late; see `acdirmin` and `lookupcache` in nfs(5)";
+    let means =
+        "results of other machines become visible this late; see `acdirmin` and `lookupcache` in nfs(5)";
     let mut checks = vec![Check::new("visible", health, seen, means)];
 
     let health = if stale == 0 { Health::Ok } else { Health::Fails };

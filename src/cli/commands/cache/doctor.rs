@@ -21,7 +21,7 @@ pub(in crate::cli) fn main(args: &DoctorArgs) -> Result<ExitCode, Error> {
                 "took part in a measurement: the other `dril-pipe cache doctor` shows its results\n"
             }
             Attended::Alone => {
-                "nobody measured anything; run `dril-pipe cache doctor` on another machine meanwhile\n"
+                "no measurement was started in ten minutes; run `dril-pipe cache doctor DIR` on another machine while this command waits\n"
             }
         };
         print(text)?;
