@@ -11,7 +11,7 @@
 //! | [`session`] | pipeline file + store | [`session::Finished`] | all of the above, results folder and lock file |
 //! | [`store`] | | | content-addressed blobs, records, locks |
 //! | [`remote`] | | | a cache that several machines share |
-//! | [`slurm`] | | | runs stages as jobs of a cluster |
+//! | [`cluster`] | | | runs stages as jobs of a cluster |
 //! | [`cli`] | arguments | exit code | the only module that prints, reads the environment or exits |
 //!
 //! [`settings`] reads `dril-pipe.toml`, which changes where and how stages run, and no result.
@@ -22,6 +22,7 @@
 //! Rust, see [`Session`].
 
 pub mod cli;
+pub mod cluster;
 pub mod error;
 pub mod exec;
 pub mod fsx;
@@ -31,7 +32,6 @@ pub mod remote;
 pub mod resolve;
 pub mod session;
 pub mod settings;
-pub mod slurm;
 pub mod spec;
 pub mod store;
 

@@ -4,16 +4,16 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::args::{Executor, RunArgs};
+use crate::cluster::{ClusterRunner, Scheduler, Site, Slurm, Template};
 use crate::error::{Error, ErrorKind};
 use crate::exec::{self, ChildRunner, Failure, Options, Runner};
-use crate::settings::{Settings, SlurmSettings};
-use crate::slurm::{Scheduler, Site, Slurm, SlurmRunner, Template};
+use crate::settings::{ClusterSettings, Settings};
 
 /// Threads that jobs may request together, unless it is set.
 const MAX_THREADS: usize = 1000;
 
 /// A cluster: its scheduler, and what jobs request.
-pub(super) type Cluster = (Arc<dyn Scheduler>, SlurmSettings);
+pub(super) type Cluster = (Arc<dyn Scheduler>, ClusterSettings);
 
 /// The cluster that `executor` names; `None` for this machine.
 ///
@@ -50,7 +50,7 @@ pub(super) fn adapt(options: &mut Options, args: &RunArgs, cluster: Option<&Clus
 }
 
 /// The threads that all jobs together may request.
-pub(super) fn max_threads(settings: &SlurmSettings) -> usize {
+pub(super) fn max_threads(settings: &ClusterSettings) -> usize {
     settings.max_threads.map_or(MAX_THREADS, usize::from)
 }
 
@@ -69,7 +69,7 @@ pub(super) fn runner(
     if let Some((scheduler, settings)) = cluster {
         let mut site = Site::new(store).map_err(unknown)?;
         site.detach = args.executor.detach;
-        let runner = SlurmRunner::new(scheduler, settings, site).map_err(|error| match error {
+        let runner = ClusterRunner::new(scheduler, settings, site).map_err(|error| match error {
             Failure::Store(error) => error.into(),
             error => Error::new(ErrorKind::Io, error),
         })?;

@@ -24,9 +24,9 @@ use std::process::ExitCode;
 
 use dril_stage_api::{Registry, Reply, Tool};
 
+use crate::cluster;
 use crate::error::{Error, exit_codes};
 use crate::exec;
-use crate::slurm;
 use args::{Command, Request};
 pub use commands::page::{Page, keep_page};
 use commands::{cache, graph, inspect, kinds, page, plan, run, shell, tool, watch};
@@ -72,10 +72,10 @@ pub fn run_with(
         return exec::run_stage(Path::new(job), &registry);
     }
     if let [_, name, folder] = &*args
-        && (name == slurm::NODE || name == slurm::PILOT)
+        && (name == cluster::NODE || name == cluster::PILOT)
     {
-        let run = if name == slurm::NODE { slurm::run_on_node } else { slurm::run_pilot };
-        let job = std::env::var(slurm::JOB).or_else(|_| std::env::var("SLURM_JOB_ID")).unwrap_or_default();
+        let run = if name == cluster::NODE { cluster::run_on_node } else { cluster::run_pilot };
+        let job = std::env::var(cluster::JOB).or_else(|_| std::env::var("SLURM_JOB_ID")).unwrap_or_default();
         return run(Path::new(folder), &job, &registry).unwrap_or_else(|error| {
             print_error(&format!("error: {error}\n"));
             ExitCode::FAILURE

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Deserializer, de};
 
-use super::slurm::SlurmSettings;
+use super::cluster::ClusterSettings;
 
 /// A placeholder, and the setting of jobs without which it could have no value.
 const SUBMIT: [(&str, Option<&str>); 16] = [
@@ -59,7 +59,7 @@ pub struct ExecutorSettings {
     pub states: StateNames,
     /// What jobs request, and which stages run where.
     #[serde(default)]
-    pub jobs: SlurmSettings,
+    pub jobs: ClusterSettings,
 }
 
 /// Names of states. One that is neither here nor usual counts as running.

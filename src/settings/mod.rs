@@ -2,18 +2,18 @@
 //! `dril-pipe.toml` beside the pipeline file and in the user's configuration folder. No setting enters a key, so none of
 //! them changes a result.
 
+mod cluster;
 mod executors;
-mod slurm;
 
 use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+pub use cluster::{ClusterSettings, JobSettings};
 pub use executors::{ExecutorSettings, StateNames};
 pub(crate) use executors::{Part, parts, placeholders};
 use serde::{Deserialize, Deserializer, de};
-pub use slurm::{JobSettings, SlurmSettings};
 
 use crate::fsx::{self, FsError};
 use crate::spec::limits::parse_time;
@@ -28,7 +28,7 @@ pub struct Settings {
     /// The shared cache.
     pub remote: RemoteSettings,
     /// Slurm.
-    pub slurm: SlurmSettings,
+    pub slurm: ClusterSettings,
     /// Other schedulers, by name.
     #[serde(deserialize_with = "executors::executors")]
     pub executors: BTreeMap<String, ExecutorSettings>,

@@ -6,9 +6,9 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
+use dril_pipe::cluster::{ClusterRunner, Pace, Site, Template};
 use dril_pipe::exec::Options;
 use dril_pipe::settings::{ExecutorSettings, Settings};
-use dril_pipe::slurm::{Pace, Site, SlurmRunner, Template};
 use serde_json::json;
 
 use crate::lab::{Lab, Ran};
@@ -57,7 +57,7 @@ fn run(lab: &Lab, stages: &[StageLine], executor: ExecutorSettings) -> Ran {
         program: sealed::program(),
         ..Site::new(std::path::absolute(lab.store.root()).unwrap()).unwrap()
     };
-    let runner = SlurmRunner::new(Arc::new(Template::new("pbs", executor)), jobs, site).unwrap();
+    let runner = ClusterRunner::new(Arc::new(Template::new("pbs", executor)), jobs, site).unwrap();
     let options = Options { threads: 8, checkpoint_seconds: 0.0, ..Options::default() };
     lab.run_with(stages, &runner, &options, &AtomicBool::new(false))
 }

@@ -8,9 +8,9 @@ use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use dril_pipe::cluster::{ClusterRunner, JobId, Pace, Scheduler, Seen, Site, State, Submission, SubmitError};
 use dril_pipe::exec::Options;
-use dril_pipe::settings::SlurmSettings;
-use dril_pipe::slurm::{JobId, Pace, Scheduler, Seen, Site, SlurmRunner, State, Submission, SubmitError};
+use dril_pipe::settings::ClusterSettings;
 use dril_pipe::store::{Key, Sweep};
 use serde_json::{Value, json};
 
@@ -105,8 +105,8 @@ fn error(lab: &Lab, scheduler: AtOnce, times: u32) -> String {
         settle: Duration::from_millis(200),
     };
     let site = Site { pace, program: fakes_program(), ..Site::new(lab.store.root()).unwrap() };
-    let settings = SlurmSettings { local: Some(Vec::new()), ..SlurmSettings::default() };
-    let runner = SlurmRunner::new(Arc::new(scheduler), settings, site).unwrap();
+    let settings = ClusterSettings { local: Some(Vec::new()), ..ClusterSettings::default() };
+    let runner = ClusterRunner::new(Arc::new(scheduler), settings, site).unwrap();
     let stages = [StageLine::new("a", "emit", json!({ "text": "x".repeat(1024), "times": times }))];
     let ran = lab.run_with(&stages, &runner, &Options::default(), &AtomicBool::new(false));
     ran.error()

@@ -8,9 +8,9 @@ use std::sync::mpsc::{Sender, channel};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use dril_pipe::cluster::{ClusterRunner, JobId, Pace, Scheduler, Seen, Site, State, Submission, SubmitError};
 use dril_pipe::exec::Options;
-use dril_pipe::settings::SlurmSettings;
-use dril_pipe::slurm::{JobId, Pace, Scheduler, Seen, Site, SlurmRunner, State, Submission, SubmitError};
+use dril_pipe::settings::ClusterSettings;
 use serde_json::{Value, json};
 
 use crate::lab::{Lab, Ran};
@@ -174,12 +174,12 @@ impl Scheduler for Simulated {
 }
 
 fn run(cluster: &Arc<Simulated>, count: usize) -> (Lab, Ran) {
-    run_with(cluster, count, SlurmSettings::default())
+    run_with(cluster, count, ClusterSettings::default())
 }
 
-fn run_with(cluster: &Arc<Simulated>, count: usize, settings: SlurmSettings) -> (Lab, Ran) {
+fn run_with(cluster: &Arc<Simulated>, count: usize, settings: ClusterSettings) -> (Lab, Ran) {
     let lab = Lab::new();
-    let settings = SlurmSettings { local: Some(Vec::new()), ..settings };
+    let settings = ClusterSettings { local: Some(Vec::new()), ..settings };
     let pace = Pace {
         look: Duration::from_millis(20),
         ask: Duration::from_millis(200),
@@ -187,7 +187,7 @@ fn run_with(cluster: &Arc<Simulated>, count: usize, settings: SlurmSettings) -> 
     };
     let scheduler: Arc<dyn Scheduler> = Arc::<Simulated>::clone(cluster);
     let site = Site { pace, ..Site::new(lab.store.root()).unwrap() };
-    let runner = SlurmRunner::new(scheduler, settings, site).unwrap();
+    let runner = ClusterRunner::new(scheduler, settings, site).unwrap();
     let stages: Vec<StageLine> = (0..count)
         .map(|number| StageLine::new(&format!("s{number}"), "emit", json!({ "text": number.to_string() })))
         .collect();
@@ -230,8 +230,8 @@ fn a_stage_whose_jobs_are_lost_again_and_again_fails() {
     assert!(ran.error().contains("ended on node `n1` without a result (NODE_FAIL)"), "{}", ran.error());
 }
 
-fn two_pilots() -> SlurmSettings {
-    SlurmSettings { pilots: Some(2), ..SlurmSettings::default() }
+fn two_pilots() -> ClusterSettings {
+    ClusterSettings { pilots: Some(2), ..ClusterSettings::default() }
 }
 
 #[test]

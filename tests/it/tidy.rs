@@ -19,7 +19,7 @@ const LAYERS: [(&str, &[&str]); 11] = [
     ("remote", &["store", "fsx"]),
     ("plan", &["resolve", "store", "fsx"]),
     ("exec", &["plan", "resolve", "spec", "store", "fsx"]),
-    ("slurm", &["exec", "settings", "spec", "store", "fsx"]),
+    ("cluster", &["exec", "settings", "spec", "store", "fsx"]),
     ("session", &["exec", "plan", "resolve", "spec", "store", "fsx", "error"]),
 ];
 
@@ -251,8 +251,8 @@ fn parse_and_resolve_do_no_input_or_output() {
     let uses = uses(
         &words,
         &[
-            "cli", "error", "exec", "fsx", "kinds", "lib", "plan", "remote", "session", "settings", "slurm",
-            "store",
+            "cli", "error", "exec", "fsx", "kinds", "lib", "plan", "remote", "session", "settings",
+            "cluster", "store",
         ],
     );
     // How to say that a file could not be read is no reading, and a time that is written down asks no clock.

@@ -6,7 +6,7 @@ use crate::cli::executor::{self, Cluster};
 use crate::cli::terminal::{count, estimate};
 use crate::plan::{Estimates, Forecast, Place, Plan};
 use crate::resolve::{StageIndex, StageInstance};
-use crate::settings::SlurmSettings;
+use crate::settings::ClusterSettings;
 
 /// Stages of the critical path that are named.
 const NAMED: usize = 12;
@@ -77,7 +77,7 @@ impl OnCluster {
     }
 }
 
-fn place(settings: &SlurmSettings, stage: &StageInstance) -> Place {
+fn place(settings: &ClusterSettings, stage: &StageInstance) -> Place {
     match settings.is_local(stage.kind) {
         true => Place::Beside,
         false => Place::Job(settings.of(&stage.name, stage.kind.name()).time),

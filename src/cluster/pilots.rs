@@ -16,7 +16,7 @@ use super::site::Site;
 use super::submit::Submitter;
 use crate::exec::Failure;
 use crate::fsx;
-use crate::settings::{JobSettings, SlurmSettings};
+use crate::settings::{ClusterSettings, JobSettings};
 use crate::store::Digest;
 
 /// How often the pilots are counted.
@@ -86,7 +86,7 @@ impl Pilots {
     /// `None` where the settings have no pilots.
     pub fn new(
         submitter: &Arc<Submitter>,
-        settings: &SlurmSettings,
+        settings: &ClusterSettings,
         site: &Site,
     ) -> fsx::Result<Option<Arc<Self>>> {
         let Some(count) = settings.pilots.filter(|count| *count > 0) else { return Ok(None) };

@@ -6,7 +6,6 @@
 //! share. Jobs outlive their engine: the next one finds them and waits for them.
 
 mod build;
-mod commands;
 mod ending;
 mod handoff;
 mod node;
@@ -17,16 +16,17 @@ mod queue;
 mod runner;
 mod scheduler;
 mod site;
+mod slurm;
 mod submit;
 mod template;
 mod threads;
 mod watch;
 
-pub use commands::Slurm;
 pub use node::{NODE, run_on_node};
 pub use pilot::{PILOT, run_pilot};
 pub use prepare::JOB;
-pub use runner::SlurmRunner;
+pub use runner::ClusterRunner;
 pub use scheduler::{JobId, Scheduler, Seen, State, Submission, SubmitError};
 pub use site::{Pace, Site};
+pub use slurm::Slurm;
 pub use template::Template;

@@ -44,7 +44,7 @@ pub struct JobSettings {
 /// `[slurm]`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(from = "Written")]
-pub struct SlurmSettings {
+pub struct ClusterSettings {
     /// For all stages.
     pub all: JobSettings,
     /// By kind.
@@ -61,7 +61,7 @@ pub struct SlurmSettings {
     pub local: Option<Vec<String>>,
 }
 
-impl SlurmSettings {
+impl ClusterSettings {
     /// What the job of a stage requests. `stage` is the stage's name, without what it is an instance of.
     pub fn of(&self, stage: &str, kind: &str) -> JobSettings {
         let mut all = JobSettings::default();
@@ -156,7 +156,7 @@ struct Written {
     local: Option<Vec<String>>,
 }
 
-impl From<Written> for SlurmSettings {
+impl From<Written> for ClusterSettings {
     fn from(written: Written) -> Self {
         let Written { partition, account, qos, time, memory, threads, signal, extra, setup, pilot, .. } =
             written;
@@ -186,7 +186,7 @@ mod tests {
     use crate::settings::Settings;
     use std::path::Path;
 
-    fn parse(text: &str) -> Result<SlurmSettings, String> {
+    fn parse(text: &str) -> Result<ClusterSettings, String> {
         let parsed = Settings::parse(text.as_bytes(), Path::new("s.toml"));
         parsed.map(|settings| settings.slurm).map_err(|error| error.to_string())
     }

@@ -21,15 +21,15 @@ use super::threads::Threads;
 use super::watch::{News, Place, Watch};
 use crate::exec::{ChildRunner, Exit, Failure, Launch, Runner};
 use crate::fsx;
-use crate::settings::{JobSettings, SlurmSettings};
+use crate::settings::{ClusterSettings, JobSettings};
 use crate::store::StoreError;
 
 /// How often the progress of a running job is read.
 const PROGRESS: Duration = Duration::from_secs(5);
 
 /// Runs stages on a cluster.
-pub struct SlurmRunner {
-    settings: SlurmSettings,
+pub struct ClusterRunner {
+    settings: ClusterSettings,
     site: Site,
     /// For stages that run beside the engine.
     local: ChildRunner,
@@ -77,12 +77,16 @@ struct History {
     alone: bool,
 }
 
-impl SlurmRunner {
+impl ClusterRunner {
     /// A runner for the jobs of a site.
     ///
     /// # Errors
     /// The store cannot be written.
-    pub fn new(scheduler: Arc<dyn Scheduler>, settings: SlurmSettings, site: Site) -> Result<Self, Failure> {
+    pub fn new(
+        scheduler: Arc<dyn Scheduler>,
+        settings: ClusterSettings,
+        site: Site,
+    ) -> Result<Self, Failure> {
         let jobs = site.jobs();
         fsx::create_dir_all(&notices(&jobs))?;
         let endings = Endings { scheduler: scheduler.name().to_owned(), jobs };
@@ -326,7 +330,7 @@ impl SlurmRunner {
 }
 
 impl Cluster {
-    fn start(submitter: &Arc<Submitter>, settings: &SlurmSettings, site: &Site) -> Result<Self, Failure> {
+    fn start(submitter: &Arc<Submitter>, settings: &ClusterSettings, site: &Site) -> Result<Self, Failure> {
         let pilots = Pilots::new(submitter, settings, site)?;
         let scheduler = Arc::clone(&submitter.scheduler);
         let watch = Watch::start(scheduler, notices(&site.jobs()), pilots.clone(), site.pace)?;
@@ -335,7 +339,7 @@ impl Cluster {
     }
 }
 
-impl Runner for SlurmRunner {
+impl Runner for ClusterRunner {
     fn check(&self, worker: Option<&'static str>) -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
         self.submitter.scheduler.check()?;
         self.local.check(worker)
