@@ -292,6 +292,14 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
     write_all(&mut File::create(path).map_err(FsError::at("write", path))?, path, bytes)
 }
 
+/// As [`write`], a file that only its owner may read.
+pub fn write_private(path: &Path, bytes: &[u8]) -> Result<()> {
+    use std::os::unix::fs::OpenOptionsExt;
+    step("write", path)?;
+    let opened = OpenOptions::new().write(true).create(true).truncate(true).mode(0o600).open(path);
+    write_all(&mut opened.map_err(FsError::at("write", path))?, path, bytes)
+}
+
 /// Replaces the content of a file in place, without a new file; creates it where there is none. Short contents only: a reader may
 /// see half of a long one.
 ///

@@ -69,6 +69,7 @@ pub(super) fn runner(
     if let Some((scheduler, settings)) = cluster {
         let mut site = Site::new(store).map_err(unknown)?;
         site.detach = args.executor.detach;
+        site.environment = std::env::vars_os().collect();
         let runner = ClusterRunner::new(scheduler, settings, site).map_err(|error| match error {
             Failure::Store(error) => error.into(),
             error => Error::new(ErrorKind::Io, error),

@@ -76,7 +76,8 @@ pub fn run_with(
     {
         let run = if name == cluster::NODE { cluster::run_on_node } else { cluster::run_pilot };
         let job = std::env::var(cluster::JOB).or_else(|_| std::env::var("SLURM_JOB_ID")).unwrap_or_default();
-        return run(Path::new(folder), &job, &registry).unwrap_or_else(|error| {
+        let assigned = cluster::Assigned { job, gpus: std::env::var(resources::GPUS).ok() };
+        return run(Path::new(folder), &assigned, &registry).unwrap_or_else(|error| {
             print_error(&format!("error: {error}\n"));
             ExitCode::FAILURE
         });

@@ -5,15 +5,20 @@ use std::path::Path;
 use crate::error::{Error, ErrorKind};
 use crate::exec::Units;
 use crate::fsx;
+use crate::spec::limits::MOST_OF_ONE;
 
 /// The variable that lists the GPUs that a program may use; that of this program limits its stages.
-const GPUS: &str = "CUDA_VISIBLE_DEVICES";
+pub(super) const GPUS: &str = "CUDA_VISIBLE_DEVICES";
 
-/// The units of each resource.
+/// The units of each resource. On a cluster the scheduler decides how many GPUs there are, unless it is given, and which of
+/// them a stage uses.
 ///
 /// # Errors
 /// More GPUs than `CUDA_VISIBLE_DEVICES` lists, or a resource is given twice.
-pub(super) fn units(given: &[(String, u32)]) -> Result<Units, Error> {
+pub(super) fn units(given: &[(String, u32)], on_cluster: bool) -> Result<Units, Error> {
+    if on_cluster {
+        return units_with(given, None, usize::try_from(MOST_OF_ONE).unwrap_or(usize::MAX));
+    }
     let visible = std::env::var(GPUS).ok().filter(|list| !list.trim().is_empty());
     units_with(given, visible.as_deref(), cards())
 }

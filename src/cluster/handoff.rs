@@ -3,6 +3,7 @@
 //!
 //! ```text
 //! slurm-v1/<key>/handoff.json   what is to be done
+//! slurm-v1/<key>/environment.json variables of the run for the stage's program; only the user may read it
 //! slurm-v1/<key>/job.sh         what the scheduler starts
 //! slurm-v1/<key>/submitted.json the job's name, and its ID once the scheduler has returned one
 //! slurm-v1/<key>/claim          the ID of the job that runs the stage; the first job to create it wins
@@ -13,6 +14,8 @@
 //!
 //! `queue` has the files of pilots.
 
+use std::collections::BTreeMap;
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -26,6 +29,8 @@ use crate::exec::Units;
 use crate::fsx::{self, FsError};
 use crate::spec::Limits;
 
+/// The name of the file with environment variables.
+const ENVIRONMENT: &str = "environment.json";
 /// The version of these files.
 const VERSION: u32 = 1;
 
@@ -174,6 +179,19 @@ impl Home {
     pub fn handoff(&self) -> fsx::Result<Option<Handoff>> {
         let handoff: Option<Handoff> = self.read("handoff.json")?;
         Ok(handoff.filter(|handoff| handoff.version == VERSION))
+    }
+
+    /// Keeps environment variables for the stage's program. They may be secrets.
+    pub fn keep_environment(&self, variables: &BTreeMap<String, OsString>) -> fsx::Result<()> {
+        let path = self.path(ENVIRONMENT);
+        let new = self.path(&format!(".{ENVIRONMENT}-{}", std::process::id()));
+        fsx::write_private(&new, &bytes(&path, variables)?)?;
+        fsx::rename(&new, &path)
+    }
+
+    /// What [`Self::keep_environment`] kept.
+    pub fn environment(&self) -> fsx::Result<BTreeMap<String, OsString>> {
+        Ok(self.read(ENVIRONMENT)?.unwrap_or_default())
     }
 
     /// The job that runs the stage, where one does.

@@ -7,6 +7,7 @@
 
 mod build;
 mod ending;
+mod gpus;
 mod handoff;
 mod node;
 mod pilot;
@@ -22,7 +23,7 @@ mod template;
 mod threads;
 mod watch;
 
-pub use node::{NODE, run_on_node};
+pub use node::{Assigned, NODE, run_on_node};
 pub use pilot::{PILOT, run_pilot};
 pub use prepare::JOB;
 pub use runner::ClusterRunner;

@@ -11,6 +11,7 @@ use dril_stage_api::{Message, Registry};
 use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1};
 
 use super::build;
+use super::gpus;
 use super::handoff::{Ended, Handoff, Home, How};
 use crate::exec::{self, ChildRunner, EXIT_STOPPED, Exit, Failure, Launch, Runner};
 use crate::fsx::{self, FsError};
@@ -24,16 +25,25 @@ const SIGNALLED: Duration = Duration::from_millis(500);
 /// How often a node writes how far its stage is.
 const PROGRESS: Duration = Duration::from_secs(5);
 
-/// Runs the stage of a job. `job` is the scheduler's ID of it.
+/// What the environment of a job says about it.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Assigned {
+    /// The scheduler's ID of it; empty where that is unknown.
+    pub job: String,
+    /// The GPUs that it may use, as in `CUDA_VISIBLE_DEVICES`; `None` where that is not set.
+    pub gpus: Option<String>,
+}
+
+/// Runs the stage of a job.
 ///
 /// The answer to the engine is a file; the exit code is for the scheduler: 0 unless the stage was stopped from outside and
 /// should run again.
 ///
 /// # Errors
 /// The answer cannot be written. The text is for the output of the job, whose last lines the engine shows.
-pub fn run_on_node(folder: &Path, job: &str, registry: &Registry) -> Result<ExitCode, String> {
+pub fn run_on_node(folder: &Path, assigned: &Assigned, registry: &Registry) -> Result<ExitCode, String> {
     let home = Home::new(folder.to_owned());
-    let node = Node::new(job, registry);
+    let node = Node::new(assigned, registry);
     if let Ok(Some(Handoff { stop_after: Some(seconds), .. })) = home.handoff() {
         node.stop_after(seconds);
     }
@@ -53,6 +63,7 @@ pub(super) struct Interrupted;
 /// A job on its node: runs one stage, or one after the other.
 pub(super) struct Node<'a> {
     job: &'a str,
+    gpus: Option<&'a str>,
     name: String,
     registry: &'a Registry,
     runner: io::Result<ChildRunner>,
@@ -63,7 +74,7 @@ pub(super) struct Node<'a> {
 }
 
 impl<'a> Node<'a> {
-    pub fn new(job: &'a str, registry: &'a Registry) -> Self {
+    pub fn new(assigned: &'a Assigned, registry: &'a Registry) -> Self {
         let (stop, late) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
         // Without a handler a signal kills the stage, which then resumes from its last checkpoint.
         for signal in [SIGTERM, SIGINT, SIGUSR1] {
@@ -73,7 +84,9 @@ impl<'a> Node<'a> {
         // This program starts nothing but stages.
         exec::claim_all_children();
         let name = rustix::system::uname().nodename().to_string_lossy().into_owned();
-        Self { job, name, registry, runner: ChildRunner::this_program(), stop, late }
+        let Assigned { job, gpus } = assigned;
+        let runner = ChildRunner::this_program();
+        Self { job, gpus: gpus.as_deref(), name, registry, runner, stop, late }
     }
 
     /// Stops by itself after some seconds, as if the scheduler had signalled the end of its time.
@@ -199,6 +212,11 @@ impl<'a> Node<'a> {
         if let Err(error) = runner.check(kind.worker()) {
             return (Err(Failure::Stage(error.to_string())), messages);
         }
+        let (units, passed) = match (gpus::here(&handoff.units, self.gpus), home.environment()) {
+            (Ok(units), Ok(passed)) => (units, passed),
+            (Err(error), _) => return (Err(Failure::Stage(error)), messages),
+            (_, Err(error)) => return (Err(Failure::Stage(error.to_string())), messages),
+        };
         let launch = Launch {
             job: &handoff.job,
             kind: *kind,
@@ -206,13 +224,13 @@ impl<'a> Node<'a> {
             log: &handoff.log,
             folder: &home.folder,
             threads: handoff.threads,
-            units: &handoff.units,
+            units: &units,
             stop: &self.stop,
             grace: handoff.grace(),
             limits: handoff.limits(),
         };
         let mut next: Option<Instant> = None;
-        let result = runner.run(&launch, &mut |message| match message {
+        let result = runner.passing(passed).run(&launch, &mut |message| match message {
             Message::Progress(progress) => {
                 if next.is_none_or(|next| Instant::now() >= next) {
                     next = Some(Instant::now() + PROGRESS);

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use dril_stage_api::Registry;
 
 use super::handoff::Home;
-use super::node::{Interrupted, Node, report};
+use super::node::{Assigned, Interrupted, Node, report};
 use super::queue::{Entry, Orders, PilotFolder, Queue};
 use crate::fsx;
 
@@ -21,28 +21,28 @@ const PAUSES: (Duration, Duration) = (Duration::from_millis(10), Duration::from_
 /// How often a network file system has to look again for what is in the queue.
 const REFRESH: Duration = Duration::from_secs(1);
 
-/// Runs a pilot to its end. `job` is the scheduler's ID of its job.
+/// Runs a pilot to its end.
 ///
 /// # Errors
 /// Its files cannot be read or written. The scheduler then knows that the job failed, and the engine runs the stage elsewhere.
-pub fn run_pilot(folder: &Path, job: &str, registry: &Registry) -> Result<ExitCode, String> {
+pub fn run_pilot(folder: &Path, assigned: &Assigned, registry: &Registry) -> Result<ExitCode, String> {
     let folder = PilotFolder(folder.to_owned());
     let name = rustix::system::uname().nodename().to_string_lossy().into_owned();
-    work(&folder, job, registry)
+    work(&folder, assigned, registry)
         .map(|()| ExitCode::SUCCESS)
         .map_err(|error| format!("on node `{name}`: {error}"))
 }
 
-fn work(folder: &PilotFolder, job: &str, registry: &Registry) -> fsx::Result<()> {
+fn work(folder: &PilotFolder, assigned: &Assigned, registry: &Registry) -> fsx::Result<()> {
     // A job that was started again after its end has no folder, or finds the note.
     if folder.has_ended()? {
         return Ok(());
     }
     let Some(orders) = folder.orders()? else { return Ok(()) };
-    fsx::write_atomic(&folder.0.join("job"), job.as_bytes())?;
+    fsx::write_atomic(&folder.0.join("job"), assigned.job.as_bytes())?;
     let pilots = folder.0.parent().unwrap_or(&folder.0);
     let queue = Queue::new(pilots, &orders.class);
-    let node = Node::new(job, registry);
+    let node = Node::new(assigned, registry);
     if let Some(seconds) = orders.stop_after {
         node.stop_after(seconds);
     }

@@ -36,7 +36,7 @@ pub(super) struct Pilots {
     jobs: PathBuf,
     orders: Orders,
     settings: JobSettings,
-    program: PathBuf,
+    site: Site,
     count: usize,
     state: Mutex<State>,
     changed: Condvar,
@@ -104,7 +104,7 @@ impl Pilots {
             root,
             jobs: site.jobs(),
             settings: settings.all.clone(),
-            program: site.program.clone(),
+            site: site.clone(),
             count,
             state: Mutex::default(),
             changed: Condvar::new(),
@@ -302,7 +302,7 @@ impl Pilots {
         let name = format!("dril-{unique}");
         let submission = prepare::submission(name, &home, &self.settings, &self.resources());
         let job = self.submitter.scheduler.job_in_shell();
-        let script = prepare::script(&self.program, PILOT, &folder.0, &self.settings, job);
+        let script = prepare::script(&self.site, PILOT, &folder.0, &self.settings, job);
         fsx::write(&submission.script, script.as_bytes())?;
         let job = self.submitter.submit(&home, &submission, &|| self.lock().closing)?;
         match job {

@@ -1,12 +1,16 @@
 //! From a stage to a job: its paths, its script, and the resources that it requests.
 
+use std::collections::BTreeMap;
+use std::ffi::{OsStr, OsString};
 use std::path::Path;
 use std::time::Duration;
 
 use dril_stage_api::Job;
 
+use super::gpus;
 use super::handoff::Home;
 use super::scheduler::{Scheduler, Submission};
+use super::site::Site;
 use crate::exec::Launch;
 use crate::settings::JobSettings;
 
@@ -20,8 +24,10 @@ pub const JOB: &str = "DRIL_PIPE_JOB";
 pub(super) const OUTPUT: &str = "job.out";
 
 /// The script of a job: `program argument folder` after the user's own lines. `job` is how the shell finds the job's ID.
+///
+/// A job finds programs where the run does, whether its scheduler passes the environment or not.
 pub(super) fn script(
-    program: &Path,
+    site: &Site,
     argument: &str,
     folder: &Path,
     settings: &JobSettings,
@@ -31,9 +37,21 @@ pub(super) fn script(
     // Commands that list jobs may shorten `12.server`.
     let job =
         job.map_or_else(String::new, |job| format!("{JOB}=\"{job}\"\nexport {JOB}=\"${{{JOB}%%.*}}\"\n"));
+    let path = site.environment.get(OsStr::new("PATH")).and_then(|path| path.to_str());
+    let path =
+        path.map_or_else(String::new, |path| format!("export PATH={}\"${{PATH:+:$PATH}}\"\n", quoted(path)));
     // The scheduler signals the script's process, so the program must replace it.
-    let (program, folder) = (quoted(&program.to_string_lossy()), quoted(&folder.to_string_lossy()));
-    format!("#!/bin/bash\n{setup}{job}exec {program} {argument} {folder}\n")
+    let (program, folder) = (quoted(&site.program.to_string_lossy()), quoted(&folder.to_string_lossy()));
+    format!("#!/bin/bash\n{path}{setup}{job}exec {program} {argument} {folder}\n")
+}
+
+/// The variables of the run that the stage's program gets besides those in its key. One that is not set there has the value
+/// that it has in the job.
+pub(super) fn passed(launch: &Launch<'_>, site: &Site) -> BTreeMap<String, OsString> {
+    let names = launch.kind.passed(&launch.job.params);
+    names
+        .filter_map(|name| Some((name.to_owned(), site.environment.get(OsStr::new(name))?.clone())))
+        .collect()
 }
 
 /// The name of a stage, without what it is an instance of: `dril` of `dril[policy=beta]`.
@@ -70,7 +88,7 @@ impl Wanted {
             memory: launch.limits.memory.or(settings.memory),
             // A stage that has a limit of its own needs that, and time to begin and to save.
             time: settings.time.or_else(|| launch.limits.timeout.map(|limit| limit + signal + SIGNAL)),
-            gpus: launch.units.get("gpu").map_or(0, Vec::len),
+            gpus: launch.units.get(gpus::NAME).map_or(0, Vec::len),
         }
     }
 }

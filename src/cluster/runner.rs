@@ -10,10 +10,11 @@ use dril_stage_api::{Message, Progress};
 
 use super::build;
 use super::ending::Endings;
+use super::gpus;
 use super::handoff::{Ended, Handoff, Home, How, Submitted, notices};
 use super::node::NODE;
 use super::pilots::{Offer, Pilots, Tending};
-use super::prepare::{SIGNAL, Wanted, moved, name_of, script, stop_after, submission};
+use super::prepare::{SIGNAL, Wanted, moved, name_of, passed, script, stop_after, submission};
 use super::scheduler::{JobId, Scheduler};
 use super::site::Site;
 use super::submit::{Submitter, WAIT};
@@ -240,6 +241,7 @@ impl ClusterRunner {
         let time = Wanted::of(launch, settings).time;
         handoff.build = build::of(&self.site.program, launch.kind.worker());
         handoff.stop_after = stop_after(&*self.submitter.scheduler, time, settings);
+        home.keep_environment(&passed(launch, &self.site))?;
         Ok(home.write("handoff.json", &handoff)?)
     }
 
@@ -264,7 +266,7 @@ impl ClusterRunner {
             return Ok(Some(Running::Pilots(pilots.offer(key)?)));
         }
         let job = self.submitter.scheduler.job_in_shell();
-        let text = script(&self.site.program, NODE, &home.folder, settings, job);
+        let text = script(&self.site, NODE, &home.folder, settings, job);
         fsx::write_atomic(&home.path("job.sh"), text.as_bytes())?;
         let submission = submission(self.submitter.name(key), home, settings, &wanted);
         Ok(self.submitter.submit(home, &submission, &|| stopping(launch))?.map(Running::Job))
@@ -348,7 +350,10 @@ impl Runner for ClusterRunner {
     fn run(&self, launch: &Launch<'_>, on_message: &mut dyn FnMut(Message)) -> Result<Exit, Failure> {
         if self.settings.is_local(launch.kind) {
             let _threads = self.local_threads.take(launch.threads);
-            return self.local.run(launch, on_message);
+            // Those that were counted are the cluster's.
+            let mut units = launch.units.clone();
+            units.remove(gpus::NAME);
+            return self.local.run(&Launch { units: &units, ..*launch }, on_message);
         }
         self.run_job(launch, on_message)
     }

@@ -1,5 +1,7 @@
 //! Where an engine and its jobs meet.
 
+use std::collections::BTreeMap;
+use std::ffi::OsString;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -32,6 +34,8 @@ pub struct Site {
     pub store: PathBuf,
     /// This program, as nodes see it.
     pub program: PathBuf,
+    /// The environment variables of the run. Jobs get its `PATH` and the variables that their stages name.
+    pub environment: BTreeMap<OsString, OsString>,
     /// Jobs stay when the run is stopped.
     pub detach: bool,
     /// How often files and jobs are looked at.
@@ -39,13 +43,14 @@ pub struct Site {
 }
 
 impl Site {
-    /// A site for this program, whose jobs end with the run.
+    /// A site for this program, whose jobs end with the run and get no variables of it.
     ///
     /// # Errors
     /// The path of this program is unknown.
     pub fn new(store: impl Into<PathBuf>) -> std::io::Result<Self> {
         let program = std::env::current_exe()?;
-        Ok(Self { store: store.into(), program, detach: false, pace: Pace::default() })
+        let (environment, pace) = Default::default();
+        Ok(Self { store: store.into(), program, environment, detach: false, pace })
     }
 
     /// The folder of all jobs.

@@ -172,7 +172,10 @@ impl Scheduler for Template {
         if self.asks_for_each() {
             return Ok(BTreeMap::new());
         }
-        let output = shell(&self.settings.status)?;
+        let output = match shell(&self.settings.status) {
+            Err(error) if says_no_jobs(&error) => return Ok(BTreeMap::new()),
+            output => output?,
+        };
         let line = |line: &str| {
             let mut words = line.split_whitespace();
             let (job, state) = (short(words.next()?), self.state(words.next()?));
@@ -213,6 +216,15 @@ impl Scheduler for Template {
     fn cancel(&self, jobs: &[JobId]) -> Result<(), String> {
         self.for_jobs(&self.settings.cancel, jobs)
     }
+}
+
+/// True for messages as "No job found" or "No unfinished job found", with which LSF's `bjobs` fails where there is none.
+fn says_no_jobs(error: &str) -> bool {
+    let lower = error.to_ascii_lowercase();
+    let words: Vec<&str> =
+        lower.split(|c: char| !c.is_ascii_alphanumeric()).filter(|word| !word.is_empty()).collect();
+    let ends = words.windows(2).enumerate().filter(|(_, two)| matches!(two, ["job" | "jobs", "found"]));
+    ends.into_iter().any(|(at, _)| words[at.saturating_sub(2)..at].contains(&"no"))
 }
 
 /// An ID without the server's name: `12` of `12.server`, which some commands shorten.
@@ -317,6 +329,17 @@ mod tests {
         assert!(matches!(error("qsub: cannot connect to server"), SubmitError::Busy(_)));
         assert!(matches!(error("the queue is full"), SubmitError::Busy(_)));
         assert!(matches!(error("?"), SubmitError::Unclear(_)));
+    }
+
+    #[test]
+    fn a_list_without_jobs_is_told_from_a_scheduler_that_does_not_answer() {
+        for none in ["`bjobs`: No job found", "No unfinished job found", "No matching jobs found in queue x"]
+        {
+            assert!(says_no_jobs(none), "{none}");
+        }
+        for error in ["cannot connect", "Job <12> is not found", "no server; 3 jobs found", "job found"] {
+            assert!(!says_no_jobs(error), "{error}");
+        }
     }
 
     #[test]

@@ -3,6 +3,7 @@
 //! A built-in stage runs as `dril-pipe __stage JOB`, or in a worker executable beside it. For a kind that runs a foreign
 //! program, that program is started directly, without a process of ours around it.
 
+use std::collections::BTreeMap;
 use std::error::Error;
 use std::ffi::OsString;
 use std::io;
@@ -50,6 +51,8 @@ pub struct ChildRunner {
     /// Arguments before the job file.
     args: Vec<OsString>,
     warden: Arc<Warden>,
+    /// Environment variables for foreign programs, where their values do not come from this process.
+    passed: Arc<BTreeMap<String, OsString>>,
     /// The last parent of stage folders that was resolved, and its path without symbolic links.
     real: Arc<Mutex<(PathBuf, PathBuf)>>,
 }
@@ -59,7 +62,14 @@ impl ChildRunner {
     pub fn new(program: impl Into<PathBuf>, args: impl IntoIterator<Item = OsString>) -> Self {
         let program = program.into();
         let warden = Arc::new(Warden::new(program.clone()));
-        Self { args: args.into_iter().collect(), warden, program, real: Arc::default() }
+        let (passed, real) = Default::default();
+        Self { args: args.into_iter().collect(), warden, program, passed, real }
+    }
+
+    /// The same, whose foreign programs get these environment variables.
+    #[must_use]
+    pub fn passing(&self, variables: BTreeMap<String, OsString>) -> Self {
+        Self { passed: variables.into(), ..self.clone() }
     }
 
     /// This program and the workers beside it, called as `__stage JOB`.
@@ -121,6 +131,7 @@ impl ChildRunner {
         let mut prepared = prepared.map_err(|error| Failure::Stage(error.to_string()))?;
         let log = fsx::open_append(launch.log).map_err(io::Error::other)?;
         let process = &mut prepared.process;
+        process.envs(&*self.passed);
         cap_threads(process, launch.threads);
         process.envs(resources::variables(launch.units));
         process

@@ -209,8 +209,10 @@ mod tests {
     fn a_mistake_is_named_with_its_place() {
         for (text, expected) in [
             ("[slurm]\npartiton = \"x\"\n", "s.toml:2:1: unknown field `partiton`"),
-            ("[slurm]\ntime = \"soon\"\n", "s.toml:2:8: expected a time as 90s"),
-            ("[slurm.kinds.ppo]\nmemory = \"x\"\n", "s.toml:2:10: expected a size as 500M"),
+            ("[slurm]\ntime = \"soon\"\n", "s.toml:2:8: expected a time with its unit"),
+            ("[slurm]\ntime = \"120\"\n", "s.toml:2:8: expected a time with its unit"),
+            ("[slurm.kinds.ppo]\nmemory = \"x\"\n", "s.toml:2:10: expected a size with its unit"),
+            ("[slurm.kinds.ppo]\nmemory = \"2000\"\n", "s.toml:2:10: expected a size with its unit"),
             ("[slurm.stages.\"a[\"]\ntime = \"1h\"\n", "s.toml:1:"),
         ] {
             let error = parse(text).unwrap_err();

@@ -9,6 +9,10 @@ use super::problem::{Problem, ProblemList};
 
 /// The maximum number of retries.
 const MOST_RETRIES: u64 = 1000;
+/// What is expected of a time, for errors.
+const TIME: &str = "a time with its unit (s, m, h or d), as 90s, 2h, 1h30m or 30d";
+/// What is expected of a size, for errors.
+const SIZE: &str = "a size with its unit (B, K, M, G or T), as 500M or 20G";
 /// The default pause before the first retry.
 const PAUSE: Duration = Duration::from_secs(1);
 
@@ -28,8 +32,8 @@ pub struct Limits {
 /// The units of counted resources that a stage holds while it runs: `gpu: 1`, `licence: 2`. Shared, since most stages hold none.
 pub type Resources = Arc<BTreeMap<String, u32>>;
 
-/// The maximum number of units of one resource.
-const MOST_OF_ONE: u64 = 10_000;
+/// The maximum number of units of one resource that a stage may ask for.
+pub(crate) const MOST_OF_ONE: u64 = 10_000;
 
 impl Default for Limits {
     fn default() -> Self {
@@ -64,7 +68,7 @@ pub(super) fn limits(
         match bytes {
             Some(Ok(bytes)) if bytes > 0 => Some(bytes),
             _ => {
-                wrong(&key, &node, "a size as 500M or 8G", problems);
+                wrong(&key, &node, SIZE, problems);
                 None
             }
         }
@@ -128,7 +132,7 @@ fn time(key: &Key, node: &Node, problems: &mut ProblemList) -> Option<Duration> 
     match plain(node).as_deref().map(parse_time) {
         Some(Ok(time)) if !time.is_zero() => Some(time),
         _ => {
-            wrong(key, node, "a time as 90s, 2h or 1h30m", problems);
+            wrong(key, node, TIME, problems);
             None
         }
     }
@@ -153,24 +157,24 @@ fn wrong(key: &Key, node: &Node, expected: &str, problems: &mut ProblemList) {
     }
 }
 
-/// A time: a number with `s`, `m`, `h` or `d`, or several of them (`1h30m`); a bare number is seconds.
+/// A time: a number with `s`, `m`, `h` or `d`, or several of them (`1h30m`). A bare number is refused: people mean seconds,
+/// minutes or days by it.
 pub(crate) fn parse_time(text: &str) -> Result<Duration, String> {
-    let wrong = || "expected a time as 90s, 2h, 1h30m or 30d".to_owned();
+    let wrong = || format!("expected {TIME}");
     let mut total = 0.0;
     let mut rest = text.trim();
     while !rest.is_empty() {
-        let end = rest.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(rest.len());
+        let end = rest.find(|c: char| !c.is_ascii_digit() && c != '.').ok_or_else(wrong)?;
         let number: f64 = rest[..end].parse().map_err(|_| wrong())?;
-        let (unit, behind) = match rest[end..].chars().next() {
-            None => (1.0, ""),
-            Some('s') => (1.0, &rest[end + 1..]),
-            Some('m') => (60.0, &rest[end + 1..]),
-            Some('h') => (3600.0, &rest[end + 1..]),
-            Some('d') => (86_400.0, &rest[end + 1..]),
-            Some(_) => return Err(wrong()),
+        let unit = match rest.as_bytes()[end] {
+            b's' => 1.0,
+            b'm' => 60.0,
+            b'h' => 3600.0,
+            b'd' => 86_400.0,
+            _ => return Err(wrong()),
         };
         total += number * unit;
-        rest = behind.trim_start();
+        rest = rest[end + 1..].trim_start();
     }
     match Duration::try_from_secs_f64(total) {
         Ok(time) if !text.trim().is_empty() && total < 1e10 => Ok(time),
@@ -178,16 +182,16 @@ pub(crate) fn parse_time(text: &str) -> Result<Duration, String> {
     }
 }
 
-/// A size: a number with `K`, `M`, `G` or `T` (of 1024), or of bytes.
+/// A size: a number with `B`, or with `K`, `M`, `G` or `T` (of 1024). A bare number is refused.
 pub(crate) fn parse_size(text: &str) -> Result<u64, String> {
-    let wrong = || "expected a size as 500M or 20G".to_owned();
+    let wrong = || format!("expected {SIZE}");
     let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
-    let shift = match text[digits.len()..].to_ascii_uppercase().trim_end_matches("IB").trim_end_matches('B') {
-        "" => 0,
-        "K" => 10,
-        "M" => 20,
-        "G" => 30,
-        "T" => 40,
+    let shift = match text[digits.len()..].to_ascii_uppercase().as_str() {
+        "B" => 0,
+        "K" | "KB" | "KIB" => 10,
+        "M" | "MB" | "MIB" => 20,
+        "G" | "GB" | "GIB" => 30,
+        "T" | "TB" | "TIB" => 40,
         _ => return Err(wrong()),
     };
     let number: f64 = digits.parse().map_err(|_| wrong())?;
@@ -202,18 +206,18 @@ mod tests {
     #[test]
     fn times_are_read_with_their_unit() {
         let seconds = |text| parse_time(text).unwrap().as_secs();
-        let times = [seconds("90"), seconds("90s"), seconds("1h30m"), seconds("30d"), seconds("1.5h")];
-        assert_eq!(times, [90, 90, 5400, 2_592_000, 5400]);
-        for wrong in ["", "h", "2w", "-1s", "1e9d", "1h x"] {
+        let times = [seconds("90s"), seconds("1h30m"), seconds("30d"), seconds("1.5h"), seconds("0s")];
+        assert_eq!(times, [90, 5400, 2_592_000, 5400, 0]);
+        for wrong in ["", "h", "2w", "-1s", "1e9d", "1h x", "30", "0", "1h30", "1é", "1 s"] {
             assert!(parse_time(wrong).is_err(), "{wrong}");
         }
     }
 
     #[test]
     fn sizes_are_read_with_their_unit() {
-        let sizes = ["0", "12", "1.5K", "20G", "1MiB", "2gb"].map(|text| parse_size(text).unwrap());
+        let sizes = ["0B", "12b", "1.5K", "20G", "1MiB", "2gb"].map(|text| parse_size(text).unwrap());
         assert_eq!(sizes, [0, 12, 1536, 20 << 30, 1 << 20, 2 << 30]);
-        for wrong in ["", "G", "-1", "1X", "nanG", "1e30"] {
+        for wrong in ["", "G", "-1K", "1X", "nanG", "1e30B", "20", "0", "1BB", "1KK"] {
             assert!(parse_size(wrong).is_err(), "{wrong}");
         }
     }

@@ -128,18 +128,18 @@ fn stage_field(name: &str, registry: &Registry) -> Value {
             "description": "number of retries after a failure",
             "anyOf": [{ "type": "integer", "minimum": 0, "maximum": 1000 }, {
                 "type": "object", "additionalProperties": false,
-                "properties": { "times": { "type": "integer", "minimum": 0 }, "pause": { "type": ["string", "number"] } },
+                "properties": { "times": { "type": "integer", "minimum": 0 }, "pause": { "type": "string" } },
             }],
         }),
         "timeout" => {
-            json!({ "type": ["string", "number"], "description": "time limit of one try, as `90s`, `2h`" })
+            json!({ "type": "string", "description": "time limit of one try, as `90s`, `2h`" })
         }
         "resources" => json!({
             "type": "object", "additionalProperties": { "type": "integer", "minimum": 1 },
             "description": "units of counted resources that it holds while it runs (`run --resources`), as `{ gpu: 1 }`",
         }),
         "memory" => json!({
-            "type": ["string", "number"], "description": "memory limit, as `500M`, `8G`",
+            "type": "string", "description": "memory limit, as `500M`, `8G`",
         }),
         _ => json!(true),
     }

@@ -94,9 +94,28 @@ fn gc_removes_what_is_old_or_too_much_and_keeps_what_a_pipeline_or_lock_needs() 
     assert_eq!(swept["results"].as_array().unwrap().len(), 4);
     assert!(sealed.run_ok("run p.yaml").contains("0 stages executed"));
     sealed.run_ok("cache verify");
-    let swept = parsed(&sealed, "cache gc --json --max-size 0");
+    let swept = parsed(&sealed, "cache gc --json --max-size 0B");
     assert_eq!((&swept["left"], contents(&sealed, "blobs-v1").len()), (&json!(0), 0));
     assert!(sealed.run_ok("run p.yaml").contains("done: 8 ran"));
+}
+
+#[test]
+fn a_limit_without_its_unit_is_refused_and_removes_nothing() {
+    let sealed = Sealed::with(WORDS);
+    sealed.run_ok("run p.yaml");
+    let all = contents(&sealed, "records-v1").len();
+    for (limit, expected) in [
+        ("--older-than 30", "expected a time with its unit (s, m, h or d)"),
+        ("--older-than 1h30", "expected a time with its unit (s, m, h or d)"),
+        ("--max-size 20", "expected a size with its unit (B, K, M, G or T)"),
+    ] {
+        let ended = sealed.run(&format!("cache gc {limit}"));
+        assert_eq!(ended.code, 2, "{limit}: {ended:?}");
+        assert!(ended.stderr.contains(expected), "{limit}: {}", ended.stderr);
+    }
+    let ended = sealed.run("run p.yaml --for 90");
+    assert!(ended.code == 2 && ended.stderr.contains("with its unit"), "{ended:?}");
+    assert_eq!(contents(&sealed, "records-v1").len(), all);
 }
 
 #[test]
@@ -108,7 +127,7 @@ fn what_was_used_least_recently_goes_first() {
     let du = parsed(&sealed, "cache du --json");
     let contents = du["folders"].as_array().unwrap().iter().find(|one| one["folder"] == "blobs-v1").unwrap();
     let swept =
-        parsed(&sealed, &format!("cache gc --json --max-size {}", contents["bytes"].as_u64().unwrap() - 1));
+        parsed(&sealed, &format!("cache gc --json --max-size {}B", contents["bytes"].as_u64().unwrap() - 1));
     assert_eq!(swept["results"].as_array().unwrap().len(), 1, "{swept}");
     assert!(
         sealed.run_ok("run p.yaml").contains("0 stages executed"),
@@ -127,7 +146,7 @@ fn gc_takes_nothing_from_a_run_that_goes_on() {
     until("it runs", || parsed(&sealed, "runs --json")[0]["state"] == "running");
     let mut taken = 0;
     while child.try_wait().unwrap().is_none() {
-        let swept = parsed(&sealed, "cache gc --json --older-than 0s --max-size 0");
+        let swept = parsed(&sealed, "cache gc --json --older-than 0s --max-size 0B");
         taken += swept["results"].as_array().unwrap().len();
     }
     let ended = child.wait_with_output().unwrap();

@@ -112,3 +112,36 @@ fn completions_and_pages_know_every_command() {
     }
     assert!(sealed.read("pages/dril-pipe-run.1").contains("check\\-determinism"));
 }
+
+/// What bash offers for the last of these words, by the completion script.
+fn offered(script: &Path, words: &[&str]) -> Vec<String> {
+    // As bash calls the function: with the program, the word, and the word before it.
+    let call = "source \"$0\"; function=$(complete -p dril-pipe | sed 's/.*-F \\([^ ]*\\).*/\\1/'); \
+                COMP_WORDS=(\"$@\"); COMP_CWORD=$(($# - 1)); \
+                $function dril-pipe \"${COMP_WORDS[COMP_CWORD]}\" \"${COMP_WORDS[COMP_CWORD - 1]}\"; \
+                printf '%s\\n' \"${COMPREPLY[@]}\"";
+    let mut bash = std::process::Command::new("bash");
+    bash.args(["--norc", "-c", call]).arg(script).args(words);
+    let ended = ended(bash);
+    assert_eq!(ended.code, 0, "{ended:?}");
+    ended.stdout.lines().map(str::to_owned).collect()
+}
+
+#[test]
+fn bash_completes_every_word_and_not_only_the_first() {
+    let sealed = Sealed::new();
+    sealed.write("script", &sealed.run_ok("completions bash"));
+    let script = sealed.path("script");
+    for (words, expected) in [
+        (&["dril-pipe", "ca"][..], &["cache"][..]),
+        (&["dril-pipe", "cache", ""], &["verify", "gc", "remote-status"]),
+        (&["dril-pipe", "cache", "remote-status", "--"], &["--remote", "--profile"]),
+        (&["dril-pipe", "run", "--che"], &["--check-determinism", "--checkpoint-every"]),
+        (&["dril-pipe", "completions", ""], &["bash", "zsh"]),
+    ] {
+        let offered = offered(&script, words);
+        for expected in expected {
+            assert!(offered.iter().any(|word| word == expected), "{words:?}: {offered:?}");
+        }
+    }
+}

@@ -176,7 +176,8 @@ fn an_interrupt_stops_jobs_with_a_checkpoint_with_and_without_a_command_for_sign
         let settings = pbs(&sealed.path("queue"), "");
         let settings: Vec<&str> =
             settings.lines().filter(|line| has_stop || !line.starts_with("stop")).collect();
-        sealed.write("dril-pipe.toml", &settings.join("\n"));
+        // The variable that makes stages leave a trace reaches them only through the scheduler.
+        sealed.write("dril-pipe.toml", &settings.join("\n").replace("/qsub ", "/qsub -V "));
         let trace = sealed.path("trace");
         let begun = || std::fs::read_to_string(&trace).unwrap_or_default().matches("begin count").count();
         let mut command = sealed.command("run p.yaml --executor pbs --checkpoint-every 0 --quiet");
@@ -197,5 +198,87 @@ fn an_interrupt_stops_jobs_with_a_checkpoint_with_and_without_a_command_for_sign
         let steps = std::fs::read_to_string(&trace).unwrap().matches("step count").count();
         assert_eq!(steps, 40, "every step once");
         assert_eq!(sealed.read("r/gather.md"), sealed.read("here/gather.md"));
+    }
+}
+
+/// A stage of a shell script whose output is its table.
+fn script(name: &str, with: &str, shell: &str, fields: &str) -> String {
+    format!(
+        "  {name}:\n    kind: command\n    timeout: 20s\n{fields}    with:\n      outputs: {{ t: {{ type: table, path: t.csv }} }}\n\
+         {with}      shell: |\n        {shell}\n"
+    )
+}
+
+#[test]
+fn stages_on_gpus_run_side_by_side_on_those_that_the_scheduler_assigned() {
+    let sealed = Sealed::new();
+    let folder = sealed.path("").display().to_string();
+    let stage = |own: &str, other: &str| {
+        let shell = format!(
+            "echo $$CUDA_VISIBLE_DEVICES $$DRIL_RESOURCE_GPU > {{outputs.t}}; touch {folder}{own}; \
+             until test -e {folder}{other}; do sleep 0.05; done"
+        );
+        script(own, "", &shell, "    resources: { gpu: 1 }\n")
+    };
+    sealed.write("p.yaml", &format!("name: g\nstages:\n{}{}", stage("one", "two"), stage("two", "one")));
+    let queue = sealed.path("queue");
+    sealed.write("dril-pipe.toml", &pbs(&queue, "").replace("-l ncpus", "-l ngpus={gpus}:ncpus"));
+    sealed.write("queue/gpus", "");
+    sealed.run_ok("run p.yaml --executor pbs");
+    let mut seen = ["one", "two"].map(|name| sealed.read(&format!("results/g-default/{name}.csv")));
+    seen.sort();
+    assert_eq!(seen, ["5 5\n", "6 6\n"]);
+    assert!(sealed.read("queue/requests").starts_with("ngpus=1:ncpus=1"));
+    let mut command = sealed.command("run p.yaml --executor pbs --resources gpu=2 --force one --force two");
+    command.env("CUDA_VISIBLE_DEVICES", "3");
+    assert_eq!(sealed::ended(command).code, 0, "the GPUs of this machine say nothing about the cluster");
+    std::fs::remove_file(queue.join("gpus")).unwrap();
+    sealed.run_ok("run p.yaml --executor pbs --force one --force two");
+    let seen = ["one", "two"].map(|name| sealed.read(&format!("results/g-default/{name}.csv")));
+    assert_eq!(seen, ["0 0\n", "0 0\n"], "on a node without a list of GPUs they are counted from 0");
+}
+
+#[test]
+fn a_command_in_a_job_has_the_variables_and_the_programs_of_the_run() {
+    let with = "      env: [IN_KEY]\n      pass_env: [TOKEN, UNSET]\n";
+    let shell =
+        "greet \"$$IN_KEY $$TOKEN $${UNSET-unset} $$(stat -c %a $$PWD/../environment.json)\" > {outputs.t}";
+    for (number, pilots) in ["", "pilots = 1"].iter().enumerate() {
+        let sealed = Sealed::with(&format!("name: v\nstages:\n{}", script("s", with, shell, "")));
+        sealed.write(
+            "dril-pipe.toml",
+            &pbs(&sealed.path("queue"), pilots).replace("memory = ", "time = \"1h\"\nmemory = "),
+        );
+        sealed.write("bin/greet", "#!/bin/sh\necho hello $1\n");
+        let greet = sealed.path("bin/greet");
+        std::fs::set_permissions(&greet, std::os::unix::fs::PermissionsExt::from_mode(0o755)).unwrap();
+        let mut command = sealed.command("run p.yaml --executor pbs");
+        command.env("PATH", format!("{}:/usr/bin:/bin", sealed.path("bin").display()));
+        command.env("IN_KEY", "a").env("TOKEN", "it's secret");
+        let ended = sealed::ended(command);
+        assert_eq!(ended.code, 0, "{number}: {ended:?}");
+        assert_eq!(sealed.read("results/v-default/s.csv"), "hello a it's secret unset 600\n");
+        let left = crate::lab::files_below(&sealed.path("cache"));
+        assert!(left.iter().all(|file| !file.ends_with("environment.json")), "{left:?}");
+        assert_eq!(submitted(&sealed.path("queue")), 1);
+    }
+}
+
+#[test]
+fn the_examples_of_the_manual_run_where_their_commands_behave_as_those_of_pbs_and_lsf() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let manual = std::fs::read_to_string(root.join("docs/cluster.md")).unwrap();
+    for name in ["pbs", "lsf"] {
+        let example = manual.split("```toml\n").find(|text| text.starts_with(&format!("[executors.{name}]")));
+        let example = example.and_then(|text| text.split_once("```")).unwrap().0;
+        let sealed = Sealed::with(CHAIN);
+        sealed.write("dril-pipe.toml", &format!("{example}\nlocal = []\n"));
+        std::fs::create_dir(sealed.path("queue")).unwrap();
+        let mut command = sealed.command(&format!("run p.yaml --executor {name}"));
+        command.env("PATH", format!("{}:/usr/bin:/bin", root.join("tests/executor").display()));
+        command.env("QUEUE", sealed.path("queue")).env("USER", "user");
+        let ended = sealed::ended(command);
+        assert_eq!(ended.code, 0, "{name}: {ended:?}");
+        assert_eq!(submitted(&sealed.path("queue")), 5);
     }
 }

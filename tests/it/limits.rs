@@ -90,9 +90,23 @@ fn mistakes_in_limits_are_reported_all_at_once_with_their_place() {
     let text = "    retries: many\n    timeout: soon\n    memory: 0\n";
     let ended = sealed(text, "to: 2").run("plan p.yaml");
     assert_eq!(ended.code, 3, "{ended:?}");
-    for part in
-        ["p.yaml:5:14", "p.yaml:6:14", "p.yaml:7:13", "expected a time as 90s", "expected a size as 500M"]
-    {
+    for part in [
+        "p.yaml:5:14",
+        "p.yaml:6:14",
+        "p.yaml:7:13",
+        "expected a time with its unit",
+        "expected a size with its unit",
+    ] {
+        assert!(ended.stderr.contains(part), "{part}: {}", ended.stderr);
+    }
+    let text = "    retries: { times: 1, pause: 2 }\n    timeout: 30\n    memory: 500\n";
+    let ended = sealed(text, "to: 2").run("plan p.yaml");
+    assert_eq!(ended.code, 3, "{ended:?}");
+    for part in [
+        "`pause` is the number 2, expected",
+        "`timeout` is the number 30, expected",
+        "`memory` is the number 500, expected",
+    ] {
         assert!(ended.stderr.contains(part), "{part}: {}", ended.stderr);
     }
 }

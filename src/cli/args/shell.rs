@@ -52,7 +52,13 @@ pub(in crate::cli) fn completions(shell: ShellName, extensions: &Extensions<'_>)
         "dril-pipe",
         &mut script,
     );
-    script
+    match (shell, String::from_utf8(script)) {
+        // clap_complete 4.6 gives the cases of a program whose name has a `-` another name than its loop looks for, so that
+        // nothing is completed after the first word (github.com/clap-rs/clap/issues/6421).
+        (ShellName::Bash, Ok(text)) => text.replace("dril__subcmd__pipe", "dril__pipe").into_bytes(),
+        (_, Ok(text)) => text.into_bytes(),
+        (_, Err(error)) => error.into_bytes(),
+    }
 }
 
 /// The man pages with their file names, the program's first.

@@ -18,7 +18,7 @@ use crate::session::{LockMode, UpToDate};
 pub(in crate::cli) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Error> {
     let began = Instant::now();
     let cluster = executor::cluster(&args.executor.executor, shared::settings(Some(&args.pipeline.file))?)?;
-    let mut options = options(args, began)?;
+    let mut options = options(args, began, cluster.is_some())?;
     executor::adapt(&mut options, args, cluster.as_ref());
     let session = pipeline::session(&args.pipeline, &args.store, registry)?
         .selection(args.select.selection())
@@ -83,7 +83,7 @@ fn lock_mode(args: &RunArgs) -> LockMode {
     }
 }
 
-fn options(args: &RunArgs, began: Instant) -> Result<Options, Error> {
+fn options(args: &RunArgs, began: Instant, on_cluster: bool) -> Result<Options, Error> {
     // Stages run in folders of their own.
     let curves = args.tensorboard.as_ref().map(std::path::absolute).transpose().map_err(|error| {
         Error::new(ErrorKind::Io, format!("`--tensorboard`: cannot determine the current folder: {error}"))
@@ -93,7 +93,7 @@ fn options(args: &RunArgs, began: Instant) -> Result<Options, Error> {
         curves,
         keep_going: !args.fail_fast,
         deadline: args.time.and_then(|time| began.checked_add(time)),
-        resources: resources::units(&args.resources)?,
+        resources: resources::units(&args.resources, on_cluster)?,
         ..Options::default()
     };
     if let Some(jobs) = args.jobs {

@@ -96,6 +96,7 @@ impl Describe for Command {
     const ABOUT: &'static str = "runs any program with declared inputs and outputs";
     const SEEDED: bool = false;
     const ENVIRONMENT: Option<&'static str> = Some("env");
+    const PASSED: Option<&'static str> = Some("pass_env");
     const TEXTS: &'static [&'static str] = &["run", "env"];
     type Params = CommandParams;
 

@@ -13,6 +13,7 @@ pub struct Kind {
     about: &'static str,
     seeded: bool,
     environment: Option<&'static str>,
+    passed: Option<&'static str>,
     texts: &'static [&'static str],
     seeded_by: fn(&Value) -> Result<bool, Vec<ParamProblem>>,
     schema: fn() -> schemars::Schema,
@@ -80,6 +81,7 @@ impl Kind {
             about: D::ABOUT,
             seeded: D::SEEDED,
             environment: D::ENVIRONMENT,
+            passed: D::PASSED,
             texts: D::TEXTS,
             seeded_by: seeded_by::<D>,
             schema: schema_of::<D>,
@@ -135,6 +137,12 @@ impl Kind {
     /// See [`Describe::ENVIRONMENT`].
     pub fn environment(&self) -> Option<&'static str> {
         self.environment
+    }
+
+    /// The names of the variables that [`Describe::PASSED`] lists in these parameters.
+    pub fn passed<'p>(&self, params: &'p Value) -> impl Iterator<Item = &'p str> {
+        let names = self.passed.and_then(|field| params.get(field)).and_then(Value::as_array);
+        names.into_iter().flatten().filter_map(Value::as_str)
     }
 
     /// See [`Describe::TEXTS`].

@@ -26,6 +26,10 @@ pub trait Describe: 'static {
     /// of the key.
     const ENVIRONMENT: Option<&'static str> = None;
 
+    /// The parameter with the names of further environment variables that the stage's program gets, whose values are not part
+    /// of the key: a list of names. On another machine the program gets the values of the run.
+    const PASSED: Option<&'static str> = None;
+
     /// Structs that are flattened into the parameters (`#[serde(flatten)]`), so that their invalid fields are reported by
     /// name. A flattened struct must not contain another one.
     const FLATTENED: &'static [Part] = &[];
