@@ -11,6 +11,9 @@ use super::layout;
 use super::params::{FigureParams, Span};
 use super::ticks::{Axis, Scale};
 
+/// Where the logarithmic axis of counts begins: below 1 by enough to see, and above 0.5, which would get a tick.
+const LESS_THAN_ONE: f64 = 0.7;
+
 /// Everything that is drawn in one panel.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Content {
@@ -109,6 +112,10 @@ impl<'a> Chart<'a> {
                 (low, high) = (low.min(place), high.max(place));
             }
         };
+        // On a logarithmic axis a bar of a single count would have no height: the axis begins below it.
+        if !is_x && self.params.layers.histogram.is_some() && scale == Scale::Log {
+            take(LESS_THAN_ONE);
+        }
         for content in panels.iter().map(|n| &self.contents[*n]) {
             content.shapes.iter().for_each(|drawn| extent(&drawn.shape, is_x, &mut take));
             for entry in content.entries.iter().filter(|_| is_x) {
@@ -139,7 +146,13 @@ impl<'a> Chart<'a> {
     }
 
     fn category_names(&self) -> Vec<String> {
-        self.categories.iter().map(|values| values.join(" · ")).collect()
+        let name = |values: &Vec<String>| {
+            // A label that a file lacks has no value; a line of the figure needs a name all the same.
+            let values: Vec<&str> =
+                values.iter().map(String::as_str).filter(|value| !value.is_empty()).collect();
+            if values.is_empty() { "–".to_owned() } else { values.join(" · ") }
+        };
+        self.categories.iter().map(name).collect()
     }
 }
 

@@ -8,6 +8,7 @@ use plotters::style::text_anchor::{HPos, VPos};
 use plotters::style::{Color, ShapeStyle};
 
 use super::chart::Chart;
+use super::clip::Frame;
 use super::explain;
 use super::ink::Ink;
 use super::intervals::Entry;
@@ -101,7 +102,8 @@ impl Chart<'_> {
             } else {
                 let ends = vec![(x, y - 60), (x + 120, y - 60)];
                 let width = if layers.histogram.is_some() { 80 } else { 24 };
-                canvas.draw(&PathElement::new(ends, paint::pen(colour, 1.0, width)))?;
+                let pen = paint::pen(Ink::Series(key.series).line(), 1.0, width);
+                canvas.draw(&PathElement::new(ends, pen))?;
             }
             paint::write(canvas, &key.name, (x + 160, y), WORDS)?;
         }
@@ -135,7 +137,7 @@ impl Chart<'_> {
             let y_place = if y_value.is_nan() { Some(y.low) } else { y_scale.place(y_value) };
             Some(plot.map_coordinate(&(x_place?, y_place?)))
         };
-        let frame = (left, top, left + width, top + height);
+        let frame = Frame { left, top, right: left + width, bottom: top + height };
         let map = Map { place: &place, frame, alone: self.data.series.len() == 1 };
         let rules = || self.params.rules.iter().filter(|rule| rule.is_for(self.measure(n)));
         let (regions, lines): (Vec<&Rule>, Vec<&Rule>) = rules().partition(|rule| rule.is_region());
@@ -159,13 +161,11 @@ impl Chart<'_> {
         // Series share a line: the first on top.
         let offset = (entry.series as f64 - (many - 1.0) / 2.0) / (many + 1.0);
         let y = self.categories.len() as f64 - 0.5 - row as f64 - offset;
-        let at = |value: f64| {
-            let (x, y) = (map.place)(value, y)?;
-            (map.frame.0..=map.frame.2).contains(&x).then_some((x, y))
-        };
+        let at = |value: f64| (map.place)(value, y).filter(|pixel| map.frame.contains(*pixel));
         let colour = Ink::Series(entry.series).colour();
         if let Some(half) = entry.estimate.half_width
-            && let (Some(from), Some(to)) = (at(entry.estimate.mean - half), at(entry.estimate.mean + half))
+            && let [from, to] = [-half, half].map(|half| map.grounded(entry.estimate.mean + half, y))
+            && let Some((from, to)) = map.frame.segment(from, to)
         {
             canvas.draw(&PathElement::new(vec![from, to], paint::pen(colour, 1.0, 20)))?;
         }

@@ -1,8 +1,9 @@
 //! The texts of a figure: axis titles, notes on its layers, and a description for screen readers.
 
 use super::chart::Chart;
-use super::data::Series;
-use super::layer::Shape;
+use super::data::Strand;
+use super::layer::{self, Shape};
+use super::outside;
 use super::paint::MOST_POINTS;
 use super::params::{BandOf, Measure};
 use crate::inference::Over;
@@ -33,14 +34,10 @@ pub(crate) fn notes(chart: &Chart<'_>) -> Vec<String> {
     let mut layers = Vec::new();
     if params.layers.points.is_some() {
         layers.push(points(chart));
-        match outside(chart) {
-            0 => {}
-            1 => layers.push("1 row lies outside the axes".to_owned()),
-            rows => layers.push(format!("{rows} rows lie outside the axes")),
-        }
+        layers.extend(outside::notes(chart));
     }
     if let Some(line) = &params.layers.line {
-        let over = pooled(chart).map(|over| format!("mean over {over}"));
+        let over = pooled(chart, 1).map(|over| format!("mean over {over}"));
         let window = (line.smooth > 1).then(|| format!("mean of the last {} rows", line.smooth));
         let what: Vec<String> = over.into_iter().chain(window).collect();
         if !what.is_empty() {
@@ -56,9 +53,11 @@ pub(crate) fn notes(chart: &Chart<'_>) -> Vec<String> {
             BandOf::Interval => "95 % interval of the mean (t)",
         };
         let over = if band.window > 1 {
-            format!("of the last {} rows", band.window)
+            let of = pooled(chart, 1).map_or_else(String::new, |pooled| format!(" of {pooled}"));
+            format!("of the last {} rows{of}", band.window)
         } else {
-            format!("over {}", pooled(chart).unwrap_or_else(|| "what is taken together".to_owned()))
+            // It is drawn where there are at least two values.
+            format!("over {}", pooled(chart, 2).unwrap_or_else(|| "rows with equal values of x".to_owned()))
         };
         layers.push(format!("band: {of} {over}"));
     }
@@ -67,6 +66,9 @@ pub(crate) fn notes(chart: &Chart<'_>) -> Vec<String> {
     }
     if params.layers.interval.is_some() {
         layers.extend(intervals(chart));
+    }
+    if params.layers.points.is_none() {
+        layers.extend(outside::notes(chart));
     }
     let mut notes = Vec::new();
     if !layers.is_empty() {
@@ -116,25 +118,25 @@ fn points(chart: &Chart<'_>) -> String {
     }
 }
 
-/// How many rows lie outside of what is shown.
-fn outside(chart: &Chart<'_>) -> usize {
-    let beyond =
-        |range: Option<[f64; 2]>, value: f64| range.is_some_and(|[low, high]| value < low || value > high);
-    let range = &chart.params.range;
-    let shapes = chart.contents.iter().flat_map(|content| &content.shapes);
-    let points = shapes.filter_map(|drawn| match &drawn.shape {
-        Shape::Points(points) => Some(points),
-        _ => None,
-    });
-    points.flatten().filter(|(x, y)| beyond(range.x, *x) || beyond(range.y, *y)).count()
-}
-
-/// What is aggregated, as `5 values of seed`; `None` if nothing is.
-fn pooled(chart: &Chart<'_>) -> Option<String> {
-    let series = || chart.data.panels.iter().flat_map(|panel| &panel.series);
-    let sizes = |series: &Series| series.groups.iter().map(Vec::len).max().unwrap_or(0);
-    let largest = series().map(sizes).max().filter(|size| *size > 1)?;
-    Some(format!("{largest} values of {}", chart.params.pool.join(" and ")))
+/// What is aggregated, as `5 values of seed`, or `3 to 5 values of seed` where not all have the same rows; `None` if
+/// nothing is. Places with fewer than `least` values do not count.
+fn pooled(chart: &Chart<'_>, least: usize) -> Option<String> {
+    let groups = || {
+        let series = chart.data.panels.iter().flat_map(|panel| &panel.series);
+        series.flat_map(|series| series.groups.iter().map(Vec::as_slice))
+    };
+    groups().find(|group: &&[Strand]| group.len() > 1)?;
+    let counts: Vec<usize> = groups().flat_map(layer::counts).filter(|count| *count >= least).collect();
+    let (low, high) = (counts.iter().min()?, counts.iter().max()?);
+    let pool = chart.params.pool.join(" and ");
+    Some(match (low, high) {
+        (_, 1) => {
+            let x = chart.params.x.as_deref().unwrap_or("row");
+            format!("1 value of {pool}, as no two share a {x}")
+        }
+        (low, high) if low == high => format!("{high} values of {pool}"),
+        (low, high) => format!("{low} to {high} values of {pool}"),
+    })
 }
 
 /// What the intervals are, for each way in which this figure has them.

@@ -23,8 +23,8 @@ pub(crate) enum Ink {
 /// The palette of Okabe and Ito (2008), which people with any colour vision can tell apart, without its black (the
 /// text's) and its yellow (too light on white).
 const SERIES: [&str; 6] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"];
-/// Set in the index of an ink whose lines are dashed.
-const DASHED: u8 = 0x80;
+/// How lines are dashed (the lengths of dashes and gaps): solid, then one pattern for each repetition of the palette.
+const DASHES: [&str; 4] = ["", "5 3", "1.5 2.5", "8 2.5 1.5 2.5"];
 const FIRST_SERIES: u8 = 8;
 
 impl Ink {
@@ -42,15 +42,35 @@ impl Ink {
         RGBColor(index, 0, 0)
     }
 
-    /// The same, dashed.
-    pub(crate) fn dashed(self) -> RGBColor {
-        RGBColor(self.colour().0 | DASHED, 0, 0)
+    /// The same for a line: series that share a colour have dashes of their own.
+    pub(crate) fn line(self) -> RGBColor {
+        self.with_dashes(self.repetition())
     }
+
+    /// The same for a line that differs from [`Self::line`].
+    pub(crate) fn dashed(self) -> RGBColor {
+        self.with_dashes(self.repetition() + 1)
+    }
+
+    /// How many times the palette was used up before.
+    fn repetition(self) -> usize {
+        if let Self::Series(number) = self { number / SERIES.len() } else { 0 }
+    }
+
+    fn with_dashes(self, pattern: usize) -> RGBColor {
+        // Plotters carries three numbers, and the index is one: the second is the pattern.
+        RGBColor(self.colour().0, u8::try_from(pattern.min(DASHES.len() - 1)).unwrap_or_default(), 0)
+    }
+}
+
+/// The marker shape of a series, below `shapes`: series that share a colour have different ones.
+pub(crate) fn marker(series: usize, shapes: usize) -> usize {
+    (series + series / SERIES.len()) % shapes
 }
 
 /// The colour's name in SVG.
 pub(crate) fn css(rgb: (u8, u8, u8)) -> &'static str {
-    match rgb.0 & !DASHED {
+    match rgb.0 {
         0 => "currentColor",
         1 => "#767676",
         2 => "#8c8c8c",
@@ -62,7 +82,7 @@ pub(crate) fn css(rgb: (u8, u8, u8)) -> &'static str {
 
 /// The class of shapes whose colour another colour scheme changes; empty for the others.
 pub(crate) fn class(rgb: (u8, u8, u8)) -> &'static str {
-    match rgb.0 & !DASHED {
+    match rgb.0 {
         1 => "q",
         3 => "p",
         4 => "m",
@@ -71,9 +91,9 @@ pub(crate) fn class(rgb: (u8, u8, u8)) -> &'static str {
     }
 }
 
-/// True for an ink whose lines are dashed.
-pub(crate) fn is_dashed(rgb: (u8, u8, u8)) -> bool {
-    rgb.0 & DASHED != 0
+/// The dashes of lines in this ink; empty for solid lines.
+pub(crate) fn dashes(rgb: (u8, u8, u8)) -> &'static str {
+    DASHES.get(usize::from(rgb.1)).copied().unwrap_or_default()
 }
 
 #[cfg(test)]
@@ -88,10 +108,24 @@ mod tests {
         let mut seen: Vec<&str> = inks.iter().map(|ink| css(rgb(ink.colour()))).collect();
         for ink in &inks {
             assert_eq!(css(rgb(ink.colour())), css(rgb(ink.dashed())));
-            assert!(is_dashed(rgb(ink.dashed())) && !is_dashed(rgb(ink.colour())));
+            assert_eq!((dashes(rgb(ink.dashed())), dashes(rgb(ink.colour()))), ("5 3", ""));
         }
         seen.sort_unstable();
         seen.dedup();
         assert_eq!(seen.len(), inks.len());
+    }
+
+    #[test]
+    fn series_of_one_colour_differ_in_marker_and_dashes_until_both_are_used_up() {
+        let looks = |count: usize, look: &dyn Fn(usize) -> (u8, usize)| {
+            let mut all: Vec<_> = (0..count).map(look).collect();
+            all.sort_unstable();
+            all.dedup();
+            all.len()
+        };
+        let colour = |n: usize| Ink::Series(n).colour().0;
+        assert_eq!(looks(36, &|n| (colour(n), marker(n, 6))), 36);
+        assert_eq!(looks(24, &|n| (colour(n), usize::from(Ink::Series(n).line().1))), 24);
+        assert!((0..6).all(|n| marker(n, 6) == n && Ink::Series(n).line() == Ink::Series(n).colour()));
     }
 }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use dril_stage_api::StageError;
 
-use super::data::{Data, Panel, Strand};
+use super::data::{Data, PORT, Panel, Strand};
 use super::params::FigureParams;
 use crate::inference::Estimate;
 use crate::reference::Reference;
@@ -29,19 +29,31 @@ pub(crate) fn categories(params: &FigureParams, data: &Data) -> Vec<String> {
         return params.categories.clone();
     }
     let taken = [&params.rows, &params.columns, &data.colour, &params.pool];
-    let mut names: Vec<(String, Vec<&String>)> = Vec::new();
-    for (name, value) in strands(data).flat_map(|strand| &strand.labels) {
-        match names.iter_mut().find(|(other, _)| other == name) {
-            Some((_, values)) if values.contains(&value) => {}
-            Some((_, values)) => values.push(value),
-            None => names.push((name.clone(), vec![value])),
-        }
-    }
-    let vary = names.into_iter().filter(|(name, values)| {
+    let all: Vec<&Strand> = strands(data).collect();
+    let vary = varying(&all).into_iter().filter(|(name, _)| {
         // A measure is one column, or the several that it names.
-        name != "column" && values.len() > 1 && taken.iter().all(|list| !list.contains(name))
+        name != "column" && taken.iter().all(|list| !list.contains(name))
     });
     vary.map(|(name, _)| name).collect()
+}
+
+/// The labels in which strands differ, with their values in the order of the strands; an absent label is `None`.
+fn varying(strands: &[&Strand]) -> Vec<(String, Vec<Option<String>>)> {
+    let names = unique(strands.iter().flat_map(|strand| strand.labels.keys()));
+    let values = |name: &String| unique(strands.iter().map(|strand| strand.labels.get(name).cloned()));
+    let all = names.into_iter().map(|name| (name.clone(), values(name)));
+    all.filter(|(_, values)| values.len() > 1).collect()
+}
+
+/// Each item once, in the order in which they first appear.
+fn unique<T: PartialEq>(items: impl Iterator<Item = T>) -> Vec<T> {
+    let mut all = Vec::new();
+    for item in items {
+        if !all.contains(&item) {
+            all.push(item);
+        }
+    }
+    all
 }
 
 fn strands(data: &Data) -> impl Iterator<Item = &Strand> {
@@ -51,7 +63,7 @@ fn strands(data: &Data) -> impl Iterator<Item = &Strand> {
 /// The entries of a panel, categories in the order of the matrix.
 ///
 /// # Errors
-/// The reference file is none, or values are too large to average.
+/// Files of one entry differ in a label outside `pool`, the reference file is none, or values are too large to average.
 pub(crate) fn entries(
     params: &FigureParams,
     data: &Data,
@@ -74,6 +86,8 @@ pub(crate) fn entries(
             }
         }
     }
+    let members: Vec<&[&Strand]> = entries.iter().map(|(_, _, strands)| strands.as_slice()).collect();
+    only_trainings(params, &keys, &members)?;
     let entry = |(category, series, strands): (Vec<String>, usize, Vec<&Strand>)| {
         let trainings: Vec<&[f64]> = strands.iter().map(|strand| strand.y.as_slice()).collect();
         let estimate = Estimate::of(&trainings)
@@ -84,6 +98,38 @@ pub(crate) fn entries(
         Ok(Entry { category, series, estimate, means, published })
     };
     entries.into_iter().map(entry).collect()
+}
+
+/// Refuses entries whose files differ in labels outside `pool`: they are no trainings of one kind, and an interval over
+/// them would have a unit that nobody chose.
+fn only_trainings(params: &FigureParams, keys: &[&str], entries: &[&[&Strand]]) -> Result<(), StageError> {
+    let mut seen: Vec<(String, Vec<String>)> = Vec::new();
+    let mut first = None;
+    for strands in entries {
+        for (label, values) in varying(strands).into_iter().filter(|(label, _)| !params.pool.contains(label))
+        {
+            first = first.or(strands.first().copied());
+            let values = values.into_iter().map(|value| value.unwrap_or_else(|| "absent".to_owned()));
+            match seen.iter_mut().find(|(other, _)| *other == label) {
+                Some((_, all)) => *all = unique(all.drain(..).chain(values)),
+                None => seen.push((label, values.collect())),
+            }
+        }
+    }
+    let Some(first) = first else { return Ok(()) };
+    let at = keys.iter().filter_map(|key| Some(format!("{key}={}", first.labels.get(*key)?)));
+    let at = match at.collect::<Vec<_>>().join(", ") {
+        at if at.is_empty() => String::new(),
+        at => format!(" with {at}"),
+    };
+    let seen: Vec<String> =
+        seen.iter().map(|(label, values)| format!("`{label}` ({})", values.join(", "))).collect();
+    let (seen, which) = (seen.join(" and "), if seen.len() == 1 { "which is" } else { "which are" });
+    Err(StageError::failed(format!(
+        "files of input `{PORT}`{at} share one interval, but differ in {seen}, {which} not in `pool`; expected \
+         trainings of one kind: add a label to `pool` if its values are trainings, else to `categories`, `colour`, \
+         `rows` or `columns`, or connect one of its values only"
+    )))
 }
 
 fn is_pseudo(label: &str) -> bool {

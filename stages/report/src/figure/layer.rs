@@ -52,7 +52,7 @@ pub(crate) fn shapes(params: &FigureParams, panel: &Panel, bounds: (f64, f64)) -
         if let Some(band) = &layers.band {
             for (name, group) in groups() {
                 let found = if band.window > 1 {
-                    rolling(&group[0], band.window, band.of)
+                    rolling(group, band.window, band.of)
                 } else {
                     across(group, band.of)
                 };
@@ -161,13 +161,36 @@ fn joined(group: &[Strand], smooth: usize) -> Vec<(f64, f64)> {
     line
 }
 
-/// The band over the last rows of one strand.
-fn rolling(strand: &Strand, window: usize, of: BandOf) -> Vec<(f64, f64, f64)> {
+/// The rows of a group: those of its only strand, or the values of its strands at each place.
+fn rows_of(group: &[Strand]) -> Vec<(f64, Vec<f64>)> {
+    match group {
+        [one] => one.x.iter().zip(&one.y).map(|(x, y)| (*x, vec![*y])).collect(),
+        more => columns(more),
+    }
+}
+
+/// The band over the last rows of a group.
+fn rolling(group: &[Strand], window: usize, of: BandOf) -> Vec<(f64, f64, f64)> {
+    let rows = rows_of(group);
     let edges = |n: usize| {
-        let (low, high) = reach(&strand.y[(n + 1).saturating_sub(window)..=n], of)?;
-        Some((strand.x[n], low, high))
+        let values: Vec<f64> =
+            rows[(n + 1).saturating_sub(window)..=n].iter().flat_map(|(_, values)| values).copied().collect();
+        let (low, high) = reach(&values, of)?;
+        Some((rows[n].0, low, high))
     };
-    (0..strand.y.len()).filter_map(edges).collect()
+    (0..rows.len()).filter_map(edges).collect()
+}
+
+/// How many strands of a group have a row, at each place in turn.
+pub(crate) fn counts(group: &[Strand]) -> Vec<usize> {
+    if group.len() == 1 {
+        return vec![1];
+    }
+    let places = group.iter().enumerate().flat_map(|(n, strand)| strand.x.iter().map(move |x| (*x, n)));
+    let mut places: Vec<(f64, usize)> = places.collect();
+    places.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    places.dedup();
+    places.chunk_by(|a, b| a.0 == b.0).map(<[_]>::len).collect()
 }
 
 /// The band over the strands of a group, at the places that at least two of them have.

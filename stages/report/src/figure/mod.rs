@@ -5,12 +5,14 @@
 //! | `params` | parameters |
 //! | `data` | files and labels → panels, series, strands |
 //! | `layer`, `intervals` | strands → shapes, in the units of the data |
-//! | `ticks`, `layout`, `explain` | axes, places on the canvas, words |
-//! | `chart`, `draw`, `paint` | shapes → plotters |
+//! | `ticks`, `layout` | axes, places on the canvas |
+//! | `explain`, `outside` | texts |
+//! | `chart`, `draw`, `paint`, `clip` | shapes → plotters |
 //! | `svg`, `ink` | plotters → SVG |
 //! | `drawn` | shapes → CSV |
 
 mod chart;
+mod clip;
 mod data;
 mod draw;
 mod drawn;
@@ -19,6 +21,7 @@ mod ink;
 mod intervals;
 mod layer;
 mod layout;
+mod outside;
 mod paint;
 mod params;
 mod svg;
@@ -48,7 +51,7 @@ pub struct Figure;
 
 impl Describe for Figure {
     const KIND: &'static str = "figure";
-    const REVISION: u32 = 2;
+    const REVISION: u32 = 3;
     const ABOUT: &'static str = "draws CSV files as SVG, with panels, colours and lines by their labels";
     const SEEDED: bool = false;
     type Params = FigureParams;

@@ -9,7 +9,8 @@ use plotters::element::{Circle, PathElement, Polygon, Rectangle, Text};
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use plotters::style::{Color, FontStyle, FontTransform, IntoFont, RGBColor, ShapeStyle, TextStyle};
 
-use super::ink::Ink;
+use super::clip::{Frame, Pixel};
+use super::ink::{Ink, marker};
 use super::layer::{Drawn, Shape};
 use super::params::{Rule, Span};
 use super::svg::{Svg, width_of};
@@ -18,7 +19,6 @@ use super::svg::{Svg, width_of};
 pub(crate) type Canvas<'t> = DrawingArea<Svg<'t>, Shift>;
 /// What came of drawing; the backend itself cannot fail.
 pub(crate) type Painted = Result<(), DrawingAreaErrorKind<Infallible>>;
-type Pixel = (i32, i32);
 
 /// At most so many marks a series are drawn.
 pub(crate) const MOST_POINTS: usize = 10_000;
@@ -28,10 +28,18 @@ const FEW: usize = 400;
 /// Where values come to lie: `None` for what is outside the axes.
 pub(crate) struct Map<'m> {
     pub(crate) place: &'m dyn Fn(f64, f64) -> Option<Pixel>,
-    /// Left, top, right and bottom of the plot.
-    pub(crate) frame: (i32, i32, i32, i32),
+    pub(crate) frame: Frame,
     /// True where there is one series only: marks need no shapes of their own.
     pub(crate) alone: bool,
+}
+
+impl Map<'_> {
+    /// As `place`, but what a logarithmic axis has no place for lies at its low end.
+    pub(crate) fn grounded(&self, x: f64, y: f64) -> Pixel {
+        let across = (self.place)(x, f64::NAN).map_or(self.frame.left, |place| place.0);
+        let down = (self.place)(f64::NAN, y).map_or(self.frame.bottom, |place| place.1);
+        (across, down)
+    }
 }
 
 /// How text stands.
@@ -82,26 +90,17 @@ pub(crate) fn shape(canvas: &Canvas<'_>, map: &Map<'_>, drawn: &Drawn) -> Painte
     let line_ink = if map.alone && drawn.layer == "line" { Ink::Text } else { ink };
     match &drawn.shape {
         Shape::Points(points) => {
-            let (left, top, right, bottom) = map.frame;
-            let inside = |(x, y): &Pixel| (left..=right).contains(x) && (top..=bottom).contains(y);
-            let pixels = points.iter().filter_map(|(x, y)| (map.place)(*x, *y)).filter(inside);
+            let pixels = points.iter().filter_map(|(x, y)| (map.place)(*x, *y));
+            let pixels = pixels.filter(|pixel| map.frame.contains(*pixel));
             let pixels: Vec<Pixel> = pixels.collect();
             marks(canvas, &thinned(pixels), drawn.series, map.alone)
         }
-        Shape::Line(points) => {
-            for piece in pieces(map, points) {
-                canvas.draw(&PathElement::new(thin_line(piece), pen(line_ink.colour(), 1.0, 16)))?;
-            }
-            Ok(())
-        }
+        Shape::Line(points) => stroke(canvas, map, points, line_ink.line()),
         Shape::Steps(points) => {
             let corners: Vec<(f64, f64)> =
                 points.windows(2).flat_map(|pair| [pair[0], (pair[1].0, pair[0].1)]).collect();
             let all: Vec<(f64, f64)> = corners.into_iter().chain(points.last().copied()).collect();
-            for piece in pieces(map, &all) {
-                canvas.draw(&PathElement::new(thin_line(piece), pen(ink.colour(), 1.0, 16)))?;
-            }
-            Ok(())
+            stroke(canvas, map, &all, ink.line())
         }
         Shape::Band(edges) => {
             let upper = edges.iter().map(|(x, _, high)| (*x, *high));
@@ -113,22 +112,26 @@ pub(crate) fn shape(canvas: &Canvas<'_>, map: &Map<'_>, drawn: &Drawn) -> Painte
             region(canvas, map, points, &ground, ink)
         }
         Shape::Bars(bars) => {
-            for (from, to, height) in bars.iter().filter(|(_, _, height)| *height > 0.0) {
-                if let (Some(top), Some(ground)) = ((map.place)(*from, *height), (map.place)(*to, 0.0)) {
-                    canvas.draw(&Rectangle::new([top, ground], fill(ink.colour(), 0.55)))?;
-                }
+            let filled = bars.iter().filter(|(_, _, height)| *height > 0.0);
+            let corners = filled.filter_map(|(from, to, height)| {
+                map.frame.rectangle(map.grounded(*from, *height), map.grounded(*to, 0.0))
+            });
+            let corners: Vec<[Pixel; 2]> = corners.collect();
+            for bar in &corners {
+                canvas.draw(&Rectangle::new(*bar, fill(ink.colour(), 0.55)))?;
+            }
+            // Bars have no markers: where colours repeat, a dashed outline tells series apart.
+            for bar in corners.iter().filter(|_| ink.line() != ink.colour()) {
+                canvas.draw(&Rectangle::new(*bar, pen(ink.line(), 1.0, 10)))?;
             }
             Ok(())
         }
-        Shape::Level(from, to, y) => match ((map.place)(*from, *y), (map.place)(*to, *y)) {
-            (Some(from), Some(to)) => {
-                let ink = if map.alone { Ink::Text } else { ink };
-                canvas.draw(&PathElement::new(vec![from, to], pen(ink.dashed(), 1.0, 16)))
-            }
-            _ => Ok(()),
-        },
+        Shape::Level(from, to, y) => {
+            let ink = if map.alone { Ink::Text } else { ink };
+            stroke(canvas, map, &[(*from, *y), (*to, *y)], ink.dashed())
+        }
         Shape::Mark(value) => {
-            let (left, top, right, bottom) = map.frame;
+            let Frame { left, top, right, bottom } = map.frame;
             let place = (map.place)(*value, f64::NAN).map(|place| place.0);
             let Some(x) = place.filter(|x| (left..=right).contains(x)) else { return Ok(()) };
             canvas.draw(&PathElement::new(vec![(x, top), (x, bottom)], pen(Ink::Mark.colour(), 1.0, 14)))?;
@@ -140,7 +143,20 @@ pub(crate) fn shape(canvas: &Canvas<'_>, map: &Map<'_>, drawn: &Drawn) -> Painte
     }
 }
 
-/// The region between two lines, cut at the plot's edges.
+/// A line, cut at the plot's edges; a row between two gaps, or alone, is a dot.
+fn stroke(canvas: &Canvas<'_>, map: &Map<'_>, points: &[(f64, f64)], colour: RGBColor) -> Painted {
+    for piece in map.frame.line(points.iter().map(|(x, y)| (map.place)(*x, *y))) {
+        let line = thin_line(piece);
+        if let [at] = line[..] {
+            canvas.draw(&Circle::new(at, 20, fill(colour, 1.0)))?;
+        } else {
+            canvas.draw(&PathElement::new(line, pen(colour, 1.0, 16)))?;
+        }
+    }
+    Ok(())
+}
+
+/// The region between two lines, cut at the plot's edges; over a single place it is a line.
 fn region(
     canvas: &Canvas<'_>,
     map: &Map<'_>,
@@ -148,30 +164,18 @@ fn region(
     back: &[(f64, f64)],
     ink: Ink,
 ) -> Painted {
-    // Values beyond an axis stop at it, as the region itself does.
-    let (left, top, right, bottom) = map.frame;
-    let inside =
-        |(x, y): &(f64, f64)| (map.place)(*x, *y).map(|(x, y)| (x.clamp(left, right), y.clamp(top, bottom)));
-    let there: Vec<Pixel> = there.iter().filter_map(inside).collect();
-    let back: Vec<Pixel> = back.iter().filter_map(inside).collect();
-    let corners = [thin_line(there), thin_line(back)].concat();
-    canvas.draw(&Polygon::new(corners, fill(ink.colour(), 0.22)))
-}
-
-/// A line as pieces that lie inside the plot.
-fn pieces(map: &Map<'_>, points: &[(f64, f64)]) -> Vec<Vec<Pixel>> {
-    let (left, top, right, bottom) = map.frame;
-    let mut pieces = vec![Vec::new()];
-    for (x, y) in points {
-        let pixel = (map.place)(*x, *y);
-        match pixel.filter(|(x, y)| (left..=right).contains(x) && (top..=bottom).contains(y)) {
-            Some(pixel) => pieces.last_mut().into_iter().for_each(|piece| piece.push(pixel)),
-            None if pieces.last().is_some_and(|piece| !piece.is_empty()) => pieces.push(Vec::new()),
-            None => {}
-        }
+    let pixels = |line: &[(f64, f64)]| {
+        let line = line.iter().filter(|(x, _)| (map.place)(*x, f64::NAN).is_some());
+        thin_line(line.map(|(x, y)| map.grounded(*x, *y)).collect())
+    };
+    let corners = map.frame.polygon([pixels(there), pixels(back)].concat());
+    if corners.is_empty() {
+        return Ok(());
     }
-    pieces.retain(|piece| piece.len() > 1);
-    pieces
+    if corners.windows(2).all(|pair| pair[0].0 == pair[1].0) {
+        return canvas.draw(&PathElement::new(corners, pen(ink.colour(), 0.22, 24)));
+    }
+    canvas.draw(&Polygon::new(corners, fill(ink.colour(), 0.22)))
 }
 
 /// The line that looks the same with at most four points a pixel column: the first, the lowest, the highest, the last.
@@ -229,7 +233,7 @@ pub(crate) fn mark(
         canvas.draw(&PathElement::new(ends, pen(colour, opacity, 12)))
     };
     let wide = size * 5 / 4;
-    match series % 6 {
+    match marker(series, 6) {
         0 => canvas.draw(&Circle::new((x, y), size, fill(colour, opacity))),
         1 => polygon(&[(-size, -size), (size, -size), (size, size), (-size, size)]),
         2 => polygon(&[(0, -wide), (wide, size), (-wide, size)]),
@@ -247,7 +251,7 @@ pub(crate) fn hollow(canvas: &Canvas<'_>, (x, y): Pixel) -> Painted {
 
 /// The shaded region of a rule, behind the data.
 pub(crate) fn region_of(canvas: &Canvas<'_>, map: &Map<'_>, rule: &Rule) -> Painted {
-    let (left, top, right, bottom) = map.frame;
+    let Frame { left, top, right, bottom } = map.frame;
     let corners = match (rule.x, rule.y) {
         (Some(Span::Between(ends)), _) => {
             let [from, to] =
@@ -267,7 +271,7 @@ pub(crate) fn region_of(canvas: &Canvas<'_>, map: &Map<'_>, rule: &Rule) -> Pain
 
 /// The line of a rule, and its label; of a region the label alone.
 pub(crate) fn rule(canvas: &Canvas<'_>, map: &Map<'_>, rule: &Rule) -> Painted {
-    let (left, top, right, bottom) = map.frame;
+    let Frame { left, top, right, bottom } = map.frame;
     let x = |value: f64| (map.place)(value, f64::NAN).map(|place| place.0);
     let y = |value: f64| (map.place)(f64::NAN, value).map(|place| place.1);
     let label = |at: Pixel, hold, ink| {

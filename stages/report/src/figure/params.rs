@@ -30,7 +30,7 @@ pub struct FigureParams {
     /// One colour for each value of these labels. `column` stands for the columns of the files.
     #[serde(default)]
     pub colour: Vec<String>,
-    /// Labels to aggregate over: lines become the mean over their values.
+    /// Labels to aggregate over: lines become the mean over their values, and intervals treat these as trainings.
     #[serde(default)]
     pub pool: Vec<String>,
     /// For intervals: one line of the figure for each value of these labels. Default: all labels that vary and are not
@@ -46,7 +46,7 @@ pub struct FigureParams {
     /// Logarithmic axes.
     #[serde(default)]
     pub scale: Scales,
-    /// Limits of the axes; values outside are not drawn.
+    /// Limits of the axes. What crosses them is cut there; a note counts what lies outside.
     #[serde(default)]
     pub range: Ranges,
     /// Title of the horizontal axis. Default: the name of the column.
@@ -214,7 +214,8 @@ pub enum BandOf {
 pub struct Band {
     /// Its extent.
     pub of: BandOf,
-    /// 0: at each value of `x`, over the lines that `pool` aggregates. Otherwise: over a moving window of this many rows.
+    /// 0: at each value of `x`, over the lines that `pool` aggregates. Otherwise: over a moving window of this many rows,
+    /// of all these lines.
     pub window: usize,
 }
 
@@ -390,10 +391,19 @@ impl FigureParams {
         }
         check_marks(&full, problems);
         check_rules(&full, problems);
-        for (name, range) in [("range.x", self.range.x), ("range.y", self.range.y)] {
-            if range.is_some_and(|[low, high]| !(low < high && (high - low).is_finite())) {
-                problems.add(name, format!("`{name}` is no range, expected two numbers, the smaller first"));
-            }
+        check_ranges(&full, problems);
+    }
+}
+
+fn check_ranges(full: &FigureParams, problems: &mut Problems) {
+    let axes = [("range.x", full.range.x, full.scale.x), ("range.y", full.range.y, full.scale.y)];
+    for (name, range, scale) in axes {
+        let Some([low, high]) = range else { continue };
+        if !(low < high && (high - low).is_finite()) {
+            problems.add(name, format!("`{name}` is no range, expected two numbers, the smaller first"));
+        } else if scale == Scale::Log && low <= 0.0 {
+            let message = format!("`{name}` begins at {low}, expected more than 0 on a logarithmic axis");
+            problems.add(name, message);
         }
     }
 }

@@ -167,7 +167,10 @@ fn opacity(name: &str, colour: BackendColor) -> String {
 
 fn stroke(style: &impl BackendStyle) -> String {
     let colour = style.color();
-    let dashes = if ink::is_dashed(colour.rgb) { " stroke-dasharray=\"5 3\"" } else { "" };
+    let dashes = match ink::dashes(colour.rgb) {
+        "" => String::new(),
+        dashes => format!(" stroke-dasharray=\"{dashes}\""),
+    };
     let width = absolute(i32::try_from(style.stroke_width()).unwrap_or(UNIT));
     format!(
         "{}fill=\"none\" stroke=\"{}\" stroke-width=\"{width}\"{}{dashes} stroke-linejoin=\"round\"",

@@ -27,6 +27,9 @@ impl Scale {
     }
 }
 
+/// Nothing is mapped farther from the beginning of an axis, in the canvas's units.
+const FAR: f64 = 1e8;
+
 /// An axis: its ends, and its ticks with their labels, all as places.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Axis {
@@ -78,7 +81,8 @@ impl Ranged for Axis {
 
     fn map(&self, place: &f64, (start, end): (i32, i32)) -> i32 {
         let share = (place - self.low) / (self.high - self.low);
-        start + (share * f64::from(end - start)).round() as i32
+        // Places far outside stay numbers that can be added and subtracted.
+        start + (share * f64::from(end - start)).round().clamp(-FAR, FAR) as i32
     }
 
     fn key_points<H: KeyPointHint>(&self, hint: H) -> Vec<f64> {
@@ -134,25 +138,29 @@ fn linear(low: f64, high: f64, wanted: usize) -> Vec<(f64, String)> {
     // Steps are counted, not added up, so that no error adds up either.
     let step = times * power_of_ten(exponent);
     let (first, last) = ((low / step - 1e-9).ceil(), (high / step + 1e-9).floor());
-    let decimals = usize::try_from(-exponent).unwrap_or(0);
     let count = (last - first).clamp(-1.0, 100.0) as i32;
     let value = |n: i32| {
         let whole = (first + f64::from(n)) * times;
         if exponent < 0 { whole / power_of_ten(-exponent) } else { whole * power_of_ten(exponent) }
     };
     let largest = (0..=count).map(|n| value(n).abs()).fold(0.0, f64::max);
-    (0..=count).map(|n| (value(n), label(value(n), decimals, largest))).collect()
+    (0..=count).map(|n| (value(n), label(value(n), exponent, largest))).collect()
 }
 
-/// A number of an axis on which the largest is `largest`: `1.5M`, `20k`, `0.25`, `−3`.
-fn label(value: f64, decimals: usize, largest: f64) -> String {
-    let (unit, size) = match largest {
+/// A number of an axis with steps of one digit times ten to the power `exponent`, on which the largest is `largest`:
+/// `1.5M`, `20k`, `0.25`, `−3`. Where a unit would need more than three decimals, the number is written out.
+fn label(value: f64, exponent: i32, largest: f64) -> String {
+    let decimals = usize::try_from(-exponent).unwrap_or(0);
+    let (unit, power) = match largest {
         _ if decimals > 6 || largest >= 1e12 => return minus(format!("{value:e}")),
-        _ if largest >= 1e6 => ("M", 1e6),
-        _ if largest >= 2e4 => ("k", 1e3),
-        _ => return minus(format!("{value:.decimals$}")),
+        _ if largest >= 1e6 => ("M", 6),
+        _ if largest >= 2e4 => ("k", 3),
+        _ => ("", 0),
     };
-    let text = format!("{:.3}", value / size);
+    if power == 0 || power - exponent > 3 {
+        return minus(format!("{value:.decimals$}"));
+    }
+    let text = format!("{:.3}", value / power_of_ten(power));
     let text = text.trim_end_matches('0').trim_end_matches('.');
     minus(if text == "0" { text.to_owned() } else { format!("{text}{unit}") })
 }
@@ -218,6 +226,9 @@ mod tests {
         assert_eq!(labels(Scale::Linear, 0.0, 0.3), ["0.0", "0.1", "0.2", "0.3"]);
         assert_eq!(labels(Scale::Linear, 0.0, 3e6), ["0", "1M", "2M", "3M"]);
         assert_eq!(labels(Scale::Linear, 0.0, 25_000.0), ["0", "5k", "10k", "15k", "20k", "25k"]);
+        assert_eq!(labels(Scale::Linear, 2_000_000.0, 2_004_000.0)[..2], ["2M", "2.001M"]);
+        assert_eq!(labels(Scale::Linear, 2_000_000.0, 2_000_100.0)[..2], ["2000000", "2000020"]);
+        assert_eq!(labels(Scale::Linear, -25_001.0, -25_000.0)[..2], ["−25001.0", "−25000.8"]);
         assert_eq!(labels(Scale::Log, -3.2, 0.6), ["0.001", "0.01", "0.1", "1"]);
         assert_eq!(labels(Scale::Log, 0.1, 1.2), ["2", "5", "10"]);
         assert_eq!(labels(Scale::Log, 0.31, 0.68), ["3", "4"], "between 2 and 5");
@@ -238,6 +249,7 @@ mod tests {
             let slack = width * 1e-6;
             for pair in axis.ticks.windows(2) {
                 prop_assert!(pair[0].0 < pair[1].0);
+                prop_assert!(pair[0].1 != pair[1].1, "{:?}", axis.ticks);
             }
             prop_assert!(axis.ticks.iter().all(|(at, _)| low - slack <= *at && *at <= low + width + slack));
             prop_assert!(axis.ticks.len() <= 3 * wanted + 2, "{:?}", axis.ticks);

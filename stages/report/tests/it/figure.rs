@@ -25,7 +25,7 @@ fn episodes(bench: &Bench, name: &str, count: u64) -> PathBuf {
     path
 }
 
-fn drawn(params: &Value, counts: &[u64]) -> (String, String) {
+pub(crate) fn drawn(params: &Value, counts: &[u64]) -> (String, String) {
     let mut bench = Bench::new::<Figure>(params, 0).unwrap();
     for (n, count) in counts.iter().enumerate() {
         let policy = if n % 2 == 0 { "gaussian" } else { "beta" };
@@ -37,13 +37,13 @@ fn drawn(params: &Value, counts: &[u64]) -> (String, String) {
 }
 
 /// The data of all paths with this text among their attributes.
-fn paths<'s>(svg: &'s str, with: &str) -> Vec<&'s str> {
+pub(crate) fn paths<'s>(svg: &'s str, with: &str) -> Vec<&'s str> {
     let lines = svg.lines().filter(|line| line.starts_with("<path") && line.contains(with));
     lines.map(|line| line.split(" d=\"").nth(1).unwrap()).collect()
 }
 
 /// All corners of a path's data, as places on the canvas.
-fn corners(data: &str) -> Vec<(f64, f64)> {
+pub(crate) fn corners(data: &str) -> Vec<(f64, f64)> {
     let data = data.split('"').next().unwrap();
     let (mut at, mut start, mut corners) = ((0.0, 0.0), (0.0, 0.0), Vec::new());
     for piece in data.split('m').skip(1) {
@@ -61,7 +61,7 @@ fn corners(data: &str) -> Vec<(f64, f64)> {
 }
 
 /// Every shape lies on the canvas, every element is closed, and no text leaves its element.
-fn well_formed(svg: &str) {
+pub(crate) fn well_formed(svg: &str) {
     let size = svg.split("viewBox=\"0 0 ").nth(1).unwrap().split('"').next().unwrap();
     let size: Vec<f64> = size.split(' ').map(|number| number.parse().unwrap()).collect();
     for (x, y) in paths(svg, "").into_iter().flat_map(corners) {

@@ -5,6 +5,7 @@
 mod compare;
 mod fakes;
 mod figure;
+mod figure_limits;
 mod findings;
 mod html;
 mod leaderboard;
