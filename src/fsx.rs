@@ -31,7 +31,7 @@ pub use folder::{
 pub use lease_file::RUN as RUN_PATIENCE;
 pub use links::{be_a_file, link_target, real, symlink, symlink_into};
 pub use lock::{Lock, announced};
-pub use tail::tail;
+pub use tail::{each_line, tail};
 
 /// An operation failed: what was tried on which path, and the system's error.
 #[derive(Debug, thiserror::Error)]

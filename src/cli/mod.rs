@@ -21,6 +21,7 @@ mod why;
 use std::ffi::{OsStr, OsString};
 use std::path::Path;
 use std::process::ExitCode;
+use std::time::Instant;
 
 use dril_stage_api::{Registry, Reply, Tool};
 
@@ -132,6 +133,7 @@ fn stage_job(args: &[OsString]) -> Option<&OsStr> {
 }
 
 fn own(command: &Command, registry: &Registry, extensions: &Extensions<'_>) -> ExitCode {
+    let began = Instant::now();
     let done = match command {
         Command::Run(args) => run::main(args, registry),
         Command::Watch(args) => watch::main(args, registry),
@@ -152,7 +154,7 @@ fn own(command: &Command, registry: &Registry, extensions: &Extensions<'_>) -> E
     };
     done.unwrap_or_else(|error| {
         if command.prints_json() {
-            let _ = print(&report::error_line(&error));
+            let _ = print(&report::error_line(&error, began));
         }
         failed(&error)
     })

@@ -5,12 +5,14 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
+use dril_stage_api::{Kind, Registry};
+
 use super::terminal::{print_error, printable};
 use crate::error::{Error, ErrorKind};
 use crate::fsx;
 use crate::plan::{Plan, Reason, Verdict, key_of_record};
 use crate::remote::{Address, Problem, Pulled, Pushed, Remote, RemoteError, Secret, variables_of};
-use crate::settings::{self, Mode, RemoteSettings, Settings};
+use crate::settings::{self, Mode, RemoteSettings, Settings, SettingsError};
 use crate::store::{Key, Store};
 
 /// The environment variable with the secret that signs records.
@@ -35,11 +37,11 @@ pub(super) struct Shared {
     pub url: String,
 }
 
-/// The settings for a pipeline file, or for the current folder.
+/// The settings for a pipeline file, or for the current folder. Names of kinds in them are checked against `registry`.
 ///
 /// # Errors
-/// A settings file cannot be read.
-pub(super) fn settings(pipeline: Option<&Path>) -> Result<Settings, Error> {
+/// A settings file cannot be read, or has a mistake.
+pub(super) fn settings(pipeline: Option<&Path>, registry: Option<&Registry>) -> Result<Settings, Error> {
     let near = pipeline.and_then(Path::parent).unwrap_or(Path::new("")).join(settings::FILE);
     let folder = std::env::var_os("XDG_CONFIG_HOME").filter(|value| !value.is_empty()).map(PathBuf::from);
     let folder = folder.or_else(|| Some(home()?.join(".config")));
@@ -47,7 +49,15 @@ pub(super) fn settings(pipeline: Option<&Path>) -> Result<Settings, Error> {
     // A home that may not be looked into, as that of the user who called `su`, has no settings for this one.
     let far = far.filter(|far| matches!(fsx::entry(far), Ok(Some(_))));
     let files: Vec<PathBuf> = std::iter::once(near).chain(far).collect();
-    Settings::read(&files).map_err(|error| {
+    let check = || {
+        let settings = Settings::read(&files)?;
+        if let Some(registry) = registry {
+            let known: Vec<&str> = registry.iter().map(Kind::name).collect();
+            Settings::check_kinds(&files, &known)?;
+        }
+        Ok(settings)
+    };
+    check().map_err(|error: SettingsError| {
         Error::new(ErrorKind::Usage, error).hint("docs/cluster.md lists all settings with their defaults")
     })
 }
@@ -68,7 +78,7 @@ pub(super) fn open(
     if url == Some("off") {
         return Ok(None);
     }
-    let settings = settings(pipeline)?.remote;
+    let settings = settings(pipeline, None)?.remote;
     // An endpoint from the settings belongs to the cache that they name.
     let same = url.is_none() || url == settings.url.as_deref();
     let Some(chosen) = url.map(str::to_owned).or_else(|| settings.url.clone()) else { return Ok(None) };

@@ -1,8 +1,9 @@
 //! Runs a pipeline from Rust: everything that `dril-pipe run` does, without printing.
 //!
-//! [`Session`] is the entry point. `source` reads pipeline files, `run` has the steps of a run, `lockfile` and `locking` the
-//! lock file, `results` the results folder, and `unchanged` recognises a run with nothing to do.
+//! [`Session`] is the entry point. `source` reads pipeline files, `run` has the steps of a run, `about` what its manifest says,
+//! `lockfile` and `locking` the lock file, `results` the results folder, and `unchanged` recognises a run with nothing to do.
 
+mod about;
 mod lockfile;
 mod locking;
 mod program;

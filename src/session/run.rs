@@ -4,16 +4,14 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use serde_json::{Map, Value, json};
-
 use super::Session;
+use super::about::about;
 use super::locking::Locking;
 use super::results::{self, Published};
-use super::source::Reading;
+use super::source::{PipelineSource, Reading};
 use super::unchanged::{self, RunFingerprint};
 use crate::error::Error;
 use crate::exec::{self, Event, Executed, Options, Runner};
-use crate::fsx;
 use crate::plan::{self, Estimates, Plan, Verdict};
 use crate::resolve::{Graph, Selected, StageIndex};
 use crate::store::{Outputs, Store};
@@ -87,7 +85,25 @@ impl<'s> Loaded<'s> {
     /// # Errors
     /// A file from outside is missing, the store cannot be read, or `--only` excludes a stage that would have to run.
     pub fn plan(&self) -> Result<Plan<'_>, Error> {
+        let plan = self.draft()?;
+        self.check(&plan)?;
+        Ok(plan)
+    }
+
+    /// As [`Loaded::plan`], without checking what `--only` excludes: it may still come from elsewhere.
+    ///
+    /// # Errors
+    /// A file from outside is missing, or the store cannot be read.
+    pub fn draft(&self) -> Result<Plan<'_>, Error> {
         self.session.source.plan(&self.selected, &self.session.store)
+    }
+
+    /// Checks a draft.
+    ///
+    /// # Errors
+    /// `--only` excludes a stage that would have to run.
+    pub fn check(&self, plan: &Plan<'_>) -> Result<(), Error> {
+        PipelineSource::check_only(&self.selected, plan)
     }
 
     /// Checks everything that can fail before anything runs: the lock file and the owner of the results folder.
@@ -141,7 +157,7 @@ impl Prepared<'_> {
         let Loaded { session, selected, reading, fingerprint } = loaded;
         let Session { source, store, .. } = session;
         let files = unchanged::files_of(&reading.parts, &plan);
-        let options = Options { about: about(session), ..session.options.clone() };
+        let options = Options { about: about(session, &reading.texts), ..session.options.clone() };
         let executed = std::thread::scope(|scope| {
             // In parallel: stages take their time anyway, and a run that is cut off has parsed the file, too.
             scope.spawn(|| reading.keep());
@@ -178,15 +194,4 @@ fn publish(
 ) -> Result<Option<Published>, Error> {
     let outputs = |stage| -> Option<&Outputs> { executed.outputs(selected.place(stage)?) };
     results::publish(folder, file, selected.all(), store, outputs)
-}
-
-/// Where the plan comes from, for the run's manifest: an exported archive contains the pipeline file.
-fn about(session: &Session<'_>) -> Map<String, Value> {
-    let source = &session.source;
-    let text = fsx::read(&source.file).ok().and_then(|bytes| String::from_utf8(bytes).ok());
-    let mut about = session.options.about.clone();
-    about.insert("file".to_owned(), json!(source.file.to_string_lossy()));
-    about.insert("set".to_owned(), json!(source.choices.set));
-    about.insert("source".to_owned(), json!(text));
-    about
 }

@@ -25,11 +25,20 @@ pub struct PipelineSource {
     pub choices: Choices,
 }
 
+/// The texts of a pipeline file and of those that it includes.
+#[derive(Default)]
+pub(super) struct Texts {
+    pub main: Vec<u8>,
+    pub parts: BTreeMap<String, Vec<u8>>,
+}
+
 /// What reading a pipeline file yields beside its graph.
 #[derive(Default)]
 pub struct Reading<'s> {
     /// The files that it includes, directly or through others, with the digest of what was read.
     pub parts: BTreeMap<PathBuf, Digest>,
+    /// What was read: the file itself, and by their paths from its folder those that it includes.
+    pub(super) texts: Texts,
     /// Where memos of parsed files are kept.
     store: Option<&'s Store>,
     memo: Option<(Digest, Memo)>,
@@ -52,11 +61,13 @@ impl<'s> Reading<'s> {
 
     fn parse(&mut self, file: &Path, bytes: &[u8], name: &SourceName) -> Result<Spec, Diagnostics> {
         let base = base_of(file);
-        let parts = &mut self.parts;
-        let mut load = |path: &str| {
-            let path = base.join(path);
+        let (parts, texts) = (&mut self.parts, &mut self.texts);
+        texts.main = bytes.to_vec();
+        let mut load = |name: &str| {
+            let path = base.join(name);
             let bytes = fsx::read(&path).map_err(|error| error.source)?;
             parts.insert(path, Digest::of(&bytes));
+            texts.parts.insert(name.to_owned(), bytes.clone());
             Ok(bytes)
         };
         if let Some(store) = self.store
@@ -140,13 +151,20 @@ impl PipelineSource {
         Ok(graphs)
     }
 
-    /// The plan for the selected stages.
+    /// The plan for the selected stages. [`PipelineSource::check_only`] checks it.
     ///
     /// # Errors
-    /// No plan can be made, or `--only` excludes a stage that would have to run.
+    /// No plan can be made.
     pub fn plan<'g>(&self, selected: &'g Selected, store: &Store) -> Result<Plan<'g>, Error> {
-        let Selected { graph, must_be_cached, forced, .. } = selected;
-        let plan = plan::plan_forced(graph, store, &self.base(), forced.clone())?;
+        Ok(plan::plan_forced(&selected.graph, store, &self.base(), selected.forced.clone())?)
+    }
+
+    /// Checks a plan for the selected stages against `--only`.
+    ///
+    /// # Errors
+    /// It excludes a stage that would have to run.
+    pub fn check_only(selected: &Selected, plan: &Plan<'_>) -> Result<(), Error> {
+        let Selected { graph, must_be_cached, .. } = selected;
         let stale = plan.steps.iter().filter(|(stage, verdict)| {
             must_be_cached.contains(stage) && !matches!(verdict, Verdict::Cached { .. })
         });
@@ -156,7 +174,7 @@ impl PipelineSource {
             let message = format!("`--only` excludes {first}{more}, which is needed and not cached");
             return Err(Error::new(ErrorKind::Usage, message).hint("without `--only` it runs, too"));
         }
-        Ok(plan)
+        Ok(())
     }
 
     /// The folder that paths in the pipeline file are relative to.

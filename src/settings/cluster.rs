@@ -107,6 +107,7 @@ impl JobSettings {
             "partition" => self.partition.is_some(),
             "account" => self.account.is_some(),
             "qos" => self.qos.is_some(),
+            "extra" => self.extra.as_ref().is_some_and(|extra| !extra.is_empty()),
             _ => false,
         }
     }

@@ -27,6 +27,15 @@ const SUBMIT: [(&str, Option<&str>); 16] = [
     ("qos", Some("qos")),
     ("extra", None),
 ];
+/// Settings of jobs that do nothing unless one of these placeholders takes them. `time` is none of them: a stage stops by itself
+/// before its end.
+const TAKEN_BY: [(&str, &[&str]); 5] = [
+    ("partition", &["partition"]),
+    ("account", &["account"]),
+    ("qos", &["qos"]),
+    ("memory", &["memory_kb", "memory_mb", "memory_gb"]),
+    ("extra", &["extra"]),
+];
 const JOBS: [(&str, Option<&str>); 2] = [("jobs", None), ("job", None)];
 const JOB: [(&str, Option<&str>); 1] = [("job", None)];
 
@@ -128,8 +137,33 @@ impl ExecutorSettings {
                 problems.push(format!("`{field}` of executor `{name}` has no `{{{}}}`", needed[0]));
             }
         }
+        problems.extend(self.without_effect(name));
         if self.id.as_ref().is_some_and(|id| !id.contains("{id}")) {
             problems.push(format!("`id` of executor `{name}` has no `{{id}}`"));
+        }
+        problems
+    }
+
+    /// Settings of jobs that `submit` does not take.
+    fn without_effect(&self, name: &str) -> Vec<String> {
+        let used: Vec<&str> = placeholders(&self.submit).collect();
+        let jobs = format!("executors.{name}.jobs");
+        let kinds = self.jobs.kinds.iter().map(|(kind, set)| (format!("{jobs}.kinds.{kind}"), set));
+        let stages =
+            self.jobs.stages.iter().map(|(pattern, set)| (format!("{jobs}.stages.\"{pattern}\""), set));
+        let tables = std::iter::once((jobs.clone(), &self.jobs.all)).chain(kinds).chain(stages);
+        let mut problems = Vec::new();
+        for (table, set) in tables {
+            for (setting, takers) in TAKEN_BY {
+                if set.has(setting) && !takers.iter().any(|taker| used.contains(taker)) {
+                    let takers: Vec<String> = takers.iter().map(|taker| format!("`{{{taker}}}`")).collect();
+                    let none = if takers.len() > 1 { "none of" } else { "no" };
+                    problems.push(format!(
+                        "`{setting}` is set in `[{table}]`, and `submit` has {none} {}, so that it does nothing",
+                        takers.join(", ")
+                    ));
+                }
+            }
         }
         problems
     }
@@ -237,5 +271,29 @@ mod tests {
         }
         let error = parse("[executors.pbs]\nsubmit = \"qsub {script}\"\n").unwrap_err();
         assert!(error.contains("missing field `status`"), "{error}");
+    }
+
+    #[test]
+    fn a_setting_that_no_placeholder_takes_is_an_error() {
+        let text = |submit: &str, jobs: &str| {
+            format!(
+                "[executors.pbs]\nsubmit = \"qsub {submit} {{script}}\"\nstatus = \"qstat\"\ncancel = \"qdel {{jobs}}\"\n\
+                 [executors.pbs.jobs]\n{jobs}"
+            )
+        };
+        let error = parse(&text("", "partition = \"p\"\nextra = [\"-x\"]\nmemory = \"1G\"\n")).unwrap_err();
+        for expected in [
+            "`partition` is set in `[executors.pbs.jobs]`, and `submit` has no `{partition}`",
+            "`extra` is set in `[executors.pbs.jobs]`, and `submit` has no `{extra}`",
+            "and `submit` has none of `{memory_kb}`, `{memory_mb}`, `{memory_gb}`",
+        ] {
+            assert!(error.contains(expected), "{error}");
+        }
+        let error = parse(&text("", "[executors.pbs.jobs.kinds.a]\nqos = \"q\"\n")).unwrap_err();
+        assert!(error.contains("`qos` is set in `[executors.pbs.jobs.kinds.a]`, and"), "{error}");
+        let error = parse(&text("", "[executors.pbs.jobs.stages.\"a*\"]\naccount = \"q\"\n")).unwrap_err();
+        assert!(error.contains("`account` is set in `[executors.pbs.jobs.stages.\"a*\"]`, and"), "{error}");
+        // The stage stops by itself before the end of `time`.
+        parse(&text("-q {partition}", "partition = \"p\"\ntime = \"1h\"\nthreads = 2\n")).unwrap();
     }
 }

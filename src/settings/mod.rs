@@ -4,6 +4,7 @@
 
 mod cluster;
 mod executors;
+mod kinds;
 
 use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
@@ -101,6 +102,17 @@ pub enum SettingsError {
     },
 }
 
+impl SettingsError {
+    /// A mistake in a file with these bytes, at the one of number `at`.
+    fn at(file: &Path, bytes: &[u8], at: usize, message: String) -> Self {
+        let before = &bytes[..at.min(bytes.len())];
+        let line_start = before.iter().rposition(|byte| *byte == b'\n').map_or(0, |end| end + 1);
+        let line = before.iter().filter(|byte| **byte == b'\n').count() + 1;
+        let column = String::from_utf8_lossy(&before[line_start..]).chars().count() + 1;
+        Self::Wrong { file: file.to_owned(), line, column, message }
+    }
+}
+
 impl Settings {
     /// The settings in these files, of which each may be missing. A value of an earlier file counts more.
     ///
@@ -116,18 +128,27 @@ impl Settings {
         Ok(all)
     }
 
+    /// Checks that these files, which each may be missing, name no other kinds than the known ones.
+    ///
+    /// # Errors
+    /// A file cannot be read or names another one; all of a file at once, at the place of the first.
+    pub fn check_kinds(files: &[PathBuf], known: &[&str]) -> Result<(), SettingsError> {
+        for file in files {
+            let bytes = fsx::read_if_there(file)?.unwrap_or_default();
+            let mistakes = std::str::from_utf8(&bytes).ok().and_then(|text| kinds::mistakes(text, known));
+            if let Some((at, message)) = mistakes {
+                return Err(SettingsError::at(file, &bytes, at, message));
+            }
+        }
+        Ok(())
+    }
+
     /// The settings in a text; `file` names it in errors, and relative paths begin at its folder.
     ///
     /// # Errors
     /// It is no TOML, or has an unknown field or a wrong value.
     pub fn parse(bytes: &[u8], file: &Path) -> Result<Self, SettingsError> {
-        let wrong = |at: usize, message: String| {
-            let before = &bytes[..at.min(bytes.len())];
-            let line_start = before.iter().rposition(|byte| *byte == b'\n').map_or(0, |end| end + 1);
-            let line = before.iter().filter(|byte| **byte == b'\n').count() + 1;
-            let column = String::from_utf8_lossy(&before[line_start..]).chars().count() + 1;
-            SettingsError::Wrong { file: file.to_owned(), line, column, message }
-        };
+        let wrong = |at, message| SettingsError::at(file, bytes, at, message);
         let text = std::str::from_utf8(bytes)
             .map_err(|error| wrong(error.valid_up_to(), "this is no UTF-8 text".to_owned()))?;
         let mut settings: Self = toml::from_str(text).map_err(|error| {

@@ -72,6 +72,11 @@ pub enum StageState {
 }
 
 impl StageState {
+    /// True where its work was begun, however it ended.
+    pub fn was_started(self) -> bool {
+        matches!(self, Self::Started | Self::Ran | Self::Failed | Self::Stopped)
+    }
+
     /// Its name in output.
     pub fn name(self) -> &'static str {
         match self {

@@ -17,7 +17,8 @@ pub struct Sweep {
     pub keep: HashSet<Key>,
     /// Removes results that were not used for this long, and checkpoints, logs and quarantined files of that age.
     pub older_than: Option<Duration>,
-    /// Then removes the least recently used results until the blobs are at most this many bytes.
+    /// Then removes the least recently used results, checkpoints and logs until they and the inputs of results are at most this
+    /// many bytes. The folders of jobs are counted, too.
     pub max_bytes: Option<u64>,
     /// Removes nothing, and only reports.
     pub dry_run: bool,
@@ -50,10 +51,32 @@ pub struct Swept {
 struct Result_ {
     key: Key,
     record: Record,
+    /// Bytes of the record itself.
+    bytes: u64,
     /// All blobs of its outputs.
     contents: Vec<Digest>,
     used: SystemTime,
     goes: bool,
+}
+
+/// What takes room besides blobs.
+#[derive(Default)]
+struct Beside {
+    /// Bytes of what stays: it is in use, or belongs to a job.
+    fixed: u64,
+    /// Checkpoints, logs and quarantined files: when they were used, and their bytes.
+    loose: Vec<(SystemTime, u64)>,
+}
+
+impl Beside {
+    fn add(&mut self, stays: bool, time: Option<SystemTime>, path: &Path) -> fsx::Result<()> {
+        let bytes = measure(path)?.bytes;
+        match time.filter(|_| !stays) {
+            Some(time) => self.loose.push((time, bytes)),
+            None => self.fixed += bytes,
+        }
+        Ok(())
+    }
 }
 
 impl Store {
@@ -90,7 +113,11 @@ impl Store {
         let mut results = self.results()?;
         let mut swept = Swept::default();
         let sizes = self.blob_sizes()?;
-        self.choose(wish, &in_use, &mut results, &sizes, &mut swept);
+        let beside = match wish.max_bytes {
+            Some(_) => self.beside(&in_use, &results, &runs)?,
+            None => Beside::default(),
+        };
+        let before = choose(wish, &in_use, &mut results, &sizes, beside, &mut swept);
         for result in results.iter().filter(|result| result.goes) {
             if !wish.dry_run {
                 fsx::remove_file(&self.record_path(&result.key))?;
@@ -99,7 +126,7 @@ impl Store {
         }
         self.sweep_blobs(wish, &in_use, &results, &sizes, &mut swept)?;
         self.sweep_jobs(wish, &in_use, &results, &mut swept)?;
-        self.sweep_rest(wish, &in_use, (&results, &runs), &mut swept)?;
+        self.sweep_rest((wish, before), &in_use, (&results, &runs), &mut swept)?;
         Ok(swept)
     }
 
@@ -122,7 +149,8 @@ impl Store {
             for stored in record.outputs.values() {
                 contents.extend(self.contents(stored)?.into_iter().map(|(digest, _)| digest));
             }
-            results.push(Result_ { key, record, contents, used, goes: false });
+            let bytes = measure(&self.record_path(&key))?.bytes;
+            results.push(Result_ { key, record, bytes, contents, used, goes: false });
         }
         results.sort_by_key(|result| (result.used, result.key));
         Ok(results)
@@ -138,43 +166,27 @@ impl Store {
         Ok(sizes)
     }
 
-    fn choose(
-        &self,
-        wish: &Sweep,
-        in_use: &InUse,
-        results: &mut [Result_],
-        sizes: &HashMap<Digest, u64>,
-        swept: &mut Swept,
-    ) {
-        let mut users: HashMap<Digest, usize> = HashMap::new();
-        for digest in results.iter().flat_map(|result| &result.contents) {
-            *users.entry(*digest).or_default() += 1;
-        }
-        let mut total: u64 = users.keys().filter_map(|digest| sizes.get(digest)).sum();
-        let now = SystemTime::now();
-        for result in results.iter_mut() {
-            let too_old = wish
-                .older_than
-                .is_some_and(|limit| now.duration_since(result.used).unwrap_or_default() > limit);
-            let too_much = wish.max_bytes.is_some_and(|limit| total > limit);
-            if !too_old && !too_much || wish.keep.contains(&result.key) {
-                continue;
-            }
-            if in_use.keys.contains(&result.key) {
-                swept.in_use += 1;
-                continue;
-            }
-            result.goes = true;
-            for digest in &result.contents {
-                if let Some(count) = users.get_mut(digest) {
-                    *count = count.saturating_sub(1);
-                    if *count == 0 {
-                        total -= sizes.get(digest).copied().unwrap_or_default();
-                    }
+    /// What there is besides blobs, without what is removed anyway.
+    fn beside(&self, in_use: &InUse, results: &[Result_], runs: &[String]) -> Result<Beside, StoreError> {
+        let done: HashSet<Key> = results.iter().map(|result| result.key).collect();
+        let mut beside = Beside::default();
+        for folder in ["checkpoints-v1", "slurm-v1"] {
+            for path in fsx::list(&self.root().join(folder))? {
+                let key = key_of(&path);
+                if key.is_none_or(|key| !done.contains(&key)) {
+                    let stays = self.has_job(key)? || key.is_some_and(|key| in_use.keys.contains(&key));
+                    beside.add(stays, last_saved(&path)?, &path)?;
                 }
             }
         }
-        swept.too_much = wish.max_bytes.is_some_and(|limit| total > limit);
+        for id in runs {
+            let began = begun_at(id).map(|since| UNIX_EPOCH + since);
+            beside.add(in_use.runs.contains(id), began, &self.root().join("runs-v1").join(id))?;
+        }
+        for path in fsx::list(&self.root().join("quarantine-v1"))? {
+            beside.add(false, fsx::modified(&path)?, &path)?;
+        }
+        Ok(beside)
     }
 
     /// Removes blobs that no remaining result contains or was made from.
@@ -207,32 +219,35 @@ impl Store {
         Ok(())
     }
 
-    /// Removes checkpoints, runs, quarantined files, and locks and folders of dead runs.
+    /// Removes checkpoints, runs and quarantined files up to a time, checkpoints of finished stages, and what is derived from files
+    /// that are gone.
     fn sweep_rest(
         &self,
-        wish: &Sweep,
+        (wish, before): (&Sweep, Option<SystemTime>),
         in_use: &InUse,
         (results, runs): (&[Result_], &[String]),
         swept: &mut Swept,
     ) -> Result<(), StoreError> {
         let done: HashSet<Key> = results.iter().map(|result| result.key).collect();
-        let old = |time| is_older(wish, time);
+        let (dry_run, old) = (wish.dry_run, |time| is_older(before, time));
         for path in fsx::list(&self.root().join("checkpoints-v1"))? {
-            let key =
-                path.file_name().and_then(|name| name.to_str()).and_then(|name| name.parse::<Key>().ok());
+            let key = key_of(&path);
             let finished = key.is_some_and(|key| done.contains(&key));
-            let last = fsx::modified(&path.join("files"))?.or(fsx::modified(&path)?);
-            if !(finished || old(last)) || key.is_some_and(|key| in_use.keys.contains(&key)) {
+            // A job goes on without an engine, and is not in use then.
+            let before = if self.has_job(key)? { oldest_kept(wish) } else { before };
+            if !(finished || is_older(before, last_saved(&path)?))
+                || key.is_some_and(|key| in_use.keys.contains(&key))
+            {
                 continue;
             }
             // While this is held, nobody begins to build it. The stage of a dead engine may still be dying.
             let lock = match key {
-                Some(key) if !wish.dry_run => Some(self.try_lock(&key)?),
+                Some(key) if !dry_run => Some(self.try_lock(&key)?),
                 Some(key) if self.is_being_made(&key) => Some(None),
                 _ => None,
             };
             if !matches!(lock, Some(None)) && !Lock::is_held(&path.join("lock"))? {
-                remove(&path, wish.dry_run, swept)?;
+                remove(&path, dry_run, swept)?;
                 swept.checkpoints += 1;
             }
             if let Some(Some(lock)) = lock {
@@ -242,16 +257,16 @@ impl Store {
         for id in runs {
             let began = begun_at(id).map(|since| UNIX_EPOCH + since);
             if old(began) && !in_use.runs.contains(id) {
-                remove(&self.root().join("runs-v1").join(id), wish.dry_run, swept)?;
+                remove(&self.root().join("runs-v1").join(id), dry_run, swept)?;
                 swept.runs += 1;
             }
         }
         for path in fsx::list(&self.root().join("quarantine-v1"))? {
             if old(fsx::modified(&path)?) {
-                remove(&path, wish.dry_run, swept)?;
+                remove(&path, dry_run, swept)?;
             }
         }
-        if !wish.dry_run {
+        if !dry_run {
             for path in fsx::list(&self.root().join("parsed-v1"))? {
                 if old(fsx::modified(&path)?) {
                     fsx::remove_file(&path)?;
@@ -277,14 +292,14 @@ impl Store {
         let done: HashSet<Key> = results.iter().map(|result| result.key).collect();
         let jobs = self.root().join("slurm-v1");
         for path in fsx::list(&jobs)? {
-            let key = path.file_name().and_then(|name| name.to_str()).and_then(|name| name.parse().ok());
+            let key = key_of(&path);
             // Folders with other names belong to all jobs.
             let Some(key) = key.filter(|key| !in_use.keys.contains(key)) else { continue };
             let mut last = fsx::modified(&path)?;
             for file in ["claim", "progress", "ended.json"] {
                 last = last.max(fsx::modified(&path.join(file))?);
             }
-            if !done.contains(&key) && !is_older(wish, last)
+            if !done.contains(&key) && !is_older(oldest_kept(wish), last)
                 || Lock::is_held(&self.checkpoints(&key).join("lock"))?
             {
                 continue;
@@ -306,6 +321,12 @@ impl Store {
         Ok(())
     }
 
+    /// True where a job of a cluster may work for this key, or where this is none of a stage.
+    fn has_job(&self, key: Option<Key>) -> fsx::Result<bool> {
+        let Some(key) = key else { return Ok(true) };
+        Ok(fsx::entry(&self.root().join("slurm-v1").join(key.hex()))?.is_some())
+    }
+
     /// Removes locks and folders of dead runs. Before the lists of runs are read: a run of another machine that gave no sign of life
     /// for long, and goes on later, then finds its folder gone instead of relying on what is removed.
     fn sweep_dead(&self) -> Result<(), StoreError> {
@@ -325,10 +346,92 @@ impl Store {
     }
 }
 
-/// True where this time is longer ago than what is kept.
-fn is_older(wish: &Sweep, time: Option<SystemTime>) -> bool {
-    let age = time.and_then(|time| SystemTime::now().duration_since(time).ok()).unwrap_or_default();
-    wish.older_than.is_some_and(|limit| age > limit)
+/// Decides which results go, by age and then by size. Returns the time up to which what is beside the blobs goes.
+fn choose(
+    wish: &Sweep,
+    in_use: &InUse,
+    results: &mut [Result_],
+    sizes: &HashMap<Digest, u64>,
+    beside: Beside,
+    swept: &mut Swept,
+) -> Option<SystemTime> {
+    enum Item {
+        Result(usize),
+        Beside(u64),
+    }
+    let holds = blobs_held(results);
+    let mut users: HashMap<Digest, usize> = HashMap::new();
+    holds.iter().flatten().for_each(|digest| *users.entry(*digest).or_default() += 1);
+    let size = |digest: &Digest| sizes.get(digest).copied().unwrap_or_default();
+    let mut total: u64 = users.keys().map(size).sum::<u64>() + beside.fixed;
+    total += results
+        .iter()
+        .map(|result| result.bytes)
+        .chain(beside.loose.iter().map(|(_, bytes)| *bytes))
+        .sum::<u64>();
+    let mut items: Vec<(SystemTime, Item)> =
+        results.iter().enumerate().map(|(index, result)| (result.used, Item::Result(index))).collect();
+    items.extend(beside.loose.into_iter().map(|(time, bytes)| (time, Item::Beside(bytes))));
+    items.sort_by_key(|(time, _)| *time);
+    let mut before = oldest_kept(wish);
+    for (time, item) in items {
+        let goes = is_older(before, Some(time)) || wish.max_bytes.is_some_and(|limit| total > limit);
+        match item {
+            Item::Beside(bytes) if goes => {
+                before = before.max(Some(time));
+                total -= bytes;
+            }
+            Item::Result(index) if goes && !wish.keep.contains(&results[index].key) => {
+                if in_use.keys.contains(&results[index].key) {
+                    swept.in_use += 1;
+                    continue;
+                }
+                results[index].goes = true;
+                total -= results[index].bytes;
+                for digest in &holds[index] {
+                    if let Some(count) = users.get_mut(digest) {
+                        *count = count.saturating_sub(1);
+                        if *count == 0 {
+                            total -= size(digest);
+                        }
+                    }
+                }
+            }
+            _ => {}
+        }
+    }
+    swept.too_much = wish.max_bytes.is_some_and(|limit| total > limit);
+    before
+}
+
+/// The blobs that stay because of each result: its outputs, and the inputs that no other result contains.
+fn blobs_held(results: &[Result_]) -> Vec<Vec<Digest>> {
+    let made: HashSet<Digest> = results.iter().flat_map(|result| &result.contents).copied().collect();
+    let held = |result: &Result_| {
+        let read = result.record.inputs.iter().flat_map(|input| &input.items).map(|item| item.digest);
+        result.contents.iter().copied().chain(read.filter(|digest| !made.contains(digest))).collect()
+    };
+    results.iter().map(held).collect()
+}
+
+/// The time before which nothing is kept, by its age.
+fn oldest_kept(wish: &Sweep) -> Option<SystemTime> {
+    Some(SystemTime::now().checked_sub(wish.older_than?).unwrap_or(UNIX_EPOCH))
+}
+
+/// True for a time that is not kept.
+fn is_older(before: Option<SystemTime>, time: Option<SystemTime>) -> bool {
+    before.zip(time).is_some_and(|(before, time)| time <= before)
+}
+
+/// The key that a folder is named by.
+fn key_of(path: &Path) -> Option<Key> {
+    path.file_name()?.to_str()?.parse().ok()
+}
+
+/// When a checkpoint was saved last, by its folder.
+fn last_saved(path: &Path) -> fsx::Result<Option<SystemTime>> {
+    Ok(fsx::modified(&path.join("files"))?.or(fsx::modified(path)?))
 }
 
 /// The lock that a file in `locks-v1` belongs to: it is named by a key, and what is beside it has an ending.

@@ -124,15 +124,42 @@ fn what_was_used_least_recently_goes_first() {
     sealed.run_ok("run p.yaml --set count.to=9");
     std::thread::sleep(std::time::Duration::from_millis(20));
     sealed.run_ok("run p.yaml");
-    let du = parsed(&sealed, "cache du --json");
-    let contents = du["folders"].as_array().unwrap().iter().find(|one| one["folder"] == "blobs-v1").unwrap();
-    let swept =
-        parsed(&sealed, &format!("cache gc --json --max-size {}B", contents["bytes"].as_u64().unwrap() - 1));
-    assert_eq!(swept["results"].as_array().unwrap().len(), 1, "{swept}");
+    let bytes = |below: &str| -> u64 {
+        let sizes = contents(&sealed, below).into_iter();
+        sizes.map(|path| std::fs::metadata(sealed.path("cache").join(path)).unwrap().len()).sum()
+    };
+    let first = format!("runs-v1/{}", sealed.list("cache/runs-v1")[0]);
+    let all = bytes("blobs-v1") + bytes("records-v1") + bytes("runs-v1");
+    let swept = parsed(&sealed, &format!("cache gc --json --max-size {}B", all - bytes(&first) - 1));
+    assert_eq!((&swept["runs"], swept["results"].as_array().unwrap().len()), (&json!(1), 1), "{swept}");
     assert!(
         sealed.run_ok("run p.yaml").contains("0 stages executed"),
         "what the last run used is still there"
     );
+}
+
+#[test]
+fn the_size_of_a_cache_includes_logs_checkpoints_and_files_from_outside() {
+    let swept = |shell: &str, code: i32| {
+        let sealed = Sealed::with(&format!(
+            "name: p\nstages:\n  s:\n    kind: command\n    with: {{ shell: '{shell}', outputs: {{ o: o }}, inputs: {{ f: {{}} }} }}\n    \
+             inputs: {{ f: {{ file: f }} }}\n"
+        ));
+        sealed.write("f", &if shell.contains("wc") { "x".repeat(300_000) } else { String::new() });
+        assert_eq!(sealed.run("run p.yaml").code, code);
+        let none = parsed(&sealed, "cache gc --json --max-size 1M");
+        assert_eq!((&none["freed"], &none["too_much"]), (&json!(0), &json!(false)), "{shell}");
+        let swept = parsed(&sealed, "cache gc --json --max-size 100K");
+        assert!(swept["freed"].as_u64() > Some(200_000) && swept["too_much"] == false, "{shell}: {swept}");
+        [
+            swept["results"].as_array().unwrap().len() as u64,
+            swept["runs"].as_u64().unwrap(),
+            swept["checkpoints"].as_u64().unwrap(),
+        ]
+    };
+    assert_eq!(swept("seq 1 60000; : > {outputs.o}", 0), [0, 1, 0], "a log");
+    assert_eq!(swept("seq 1 60000 > {checkpoints}/s; exit 1", 1), [0, 1, 1], "a checkpoint");
+    assert_eq!(swept("wc -c < {inputs.f} > {outputs.o}", 0), [1, 1, 0], "an input");
 }
 
 #[test]
@@ -229,6 +256,37 @@ fn an_archive_describes_itself_as_a_workflow_run_crate() {
     for part in root["hasPart"].as_array().unwrap() {
         archive.by_name(part["@id"].as_str().unwrap()).unwrap();
     }
+}
+
+#[test]
+fn an_archive_has_the_pipeline_file_with_all_that_it_includes() {
+    let sealed = Sealed::new();
+    let (stages, shared) = WORDS.split_once("profiles:").unwrap();
+    let (head, stages) = stages.split_once("stages:").unwrap();
+    sealed.write("exp/p.yaml", &format!("{head}include: [parts/stages.yaml, ../shared/profiles.yaml]\n"));
+    sealed.write("exp/parts/stages.yaml", &format!("stages:{stages}"));
+    sealed.write("shared/profiles.yaml", &format!("profiles:{shared}"));
+    sealed.run_ok("run exp/p.yaml --out results");
+    // What is in the archive is what was read.
+    sealed.write("exp/parts/stages.yaml", "stages: [\n");
+    sealed.run_ok("cache export last -o run.zip");
+    let mut archive = zip::ZipArchive::new(std::fs::File::open(sealed.path("run.zip")).unwrap()).unwrap();
+    let document: Value =
+        serde_json::from_reader(archive.by_name("ro-crate-metadata.json").unwrap()).unwrap();
+    let entity = |id: &str| {
+        document["@graph"].as_array().unwrap().iter().find(|one| one["@id"] == id).unwrap().clone()
+    };
+    assert_eq!(entity("./")["mainEntity"]["@id"], "pipeline/exp/p.yaml");
+    assert_eq!(entity("pipeline/exp/p.yaml")["hasPart"].as_array().unwrap().len(), 2);
+    let other = Sealed::new();
+    for name in ["pipeline/exp/p.yaml", "pipeline/exp/parts/stages.yaml", "pipeline/shared/profiles.yaml"] {
+        entity(name);
+        let text = std::io::read_to_string(archive.by_name(name).unwrap()).unwrap();
+        other.write(name, &text);
+    }
+    std::fs::copy(sealed.path("run.zip"), other.path("run.zip")).unwrap();
+    other.run_ok("cache import run.zip");
+    assert!(other.run_ok("run pipeline/exp/p.yaml").contains("0 stages executed, all 8 cached"));
 }
 
 /// The archive at `path` with its entries changed by `edit`; `None` drops one.

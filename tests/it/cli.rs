@@ -326,3 +326,16 @@ fn a_plan_for_a_cluster_forecasts_jobs_time_and_the_critical_path() {
     sealed.run_ok("run p.yaml");
     assert!(!sealed.run_ok("plan p.yaml --executor slurm").contains("on Slurm"), "nothing is to run");
 }
+
+#[test]
+fn every_event_has_its_time() {
+    let sealed = Sealed::with(WORDS);
+    let events = sealed.events("--check-determinism");
+    assert_eq!(of(&events, "checked").len(), 8);
+    sealed.write("p.yaml", "name: x\n");
+    let times: Vec<f64> = events.iter().map(|event| event["at"].as_f64().unwrap_or(f64::NAN)).collect();
+    assert!(times.is_sorted(), "{times:?}");
+    let refused = sealed.events("");
+    assert_eq!(refused[0]["event"], "error");
+    assert!(refused[0]["at"].as_f64().is_some(), "{refused:?}");
+}

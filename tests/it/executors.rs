@@ -282,3 +282,25 @@ fn the_examples_of_the_manual_run_where_their_commands_behave_as_those_of_pbs_an
         assert_eq!(submitted(&sealed.path("queue")), 5);
     }
 }
+
+#[test]
+fn settings_for_kinds_that_do_not_exist_are_errors_with_their_place() {
+    let sealed = Sealed::with(CHAIN);
+    sealed.write(
+        "dril-pipe.toml",
+        "[slurm]\nlocal = [\"concat\", \"tabel\"]\n[slurm.kinds.comand]\ntime = \"1h\"\n",
+    );
+    for args in ["run p.yaml", "plan p.yaml --executor slurm"] {
+        let ended = sealed.run(args);
+        assert_eq!(ended.code, 2, "{args}: {ended:?}");
+        let place = "dril-pipe.toml:2:20: there is no kind `tabel`; there is no kind `comand`, did you mean `command`?";
+        assert!(ended.stderr.contains(place), "{args}: {}", ended.stderr);
+    }
+    let jobs = pbs(&sealed.path("queue"), "[executors.pbs.jobs.kinds.conct]\nthreads = 1");
+    sealed.write("dril-pipe.toml", &jobs);
+    let ended = sealed.run("run p.yaml");
+    assert!(
+        ended.stderr.contains("dril-pipe.toml:9:27: there is no kind `conct`, did you mean `concat`?"),
+        "{ended:?}"
+    );
+}

@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 
 use crate::cli::WORDS;
-use crate::sealed::Sealed;
+use crate::sealed::{Sealed, ended, signal, until};
 
 fn parsed(sealed: &Sealed, args: &str) -> Value {
     let text = sealed.run_ok(args);
@@ -181,4 +181,53 @@ fn looking_changes_nothing_in_the_store() {
         sealed.run_ok(command);
         assert_eq!(crate::lab::files_below(&sealed.path("cache")), before, "{command}");
     }
+}
+
+#[test]
+fn a_log_is_printed_whole_however_long_it_is() {
+    let sealed = Sealed::with(
+        "name: p\nstages:\n  c: { kind: command, with: { shell: 'seq 1 30000; : > {outputs.o}', outputs: { o: o } } }\n",
+    );
+    sealed.run_ok("run p.yaml");
+    let whole: String = (1..=30_000).map(|line| format!("{line}\n")).collect();
+    assert!(sealed.run_ok("log c") == whole, "a line is missing");
+    let tail: String = (5001..=30_000).map(|line| format!("{line}\n")).collect();
+    assert!(sealed.run_ok("log c --tail 25000") == tail, "these are not the last lines");
+    assert_eq!(parsed(&sealed, "log c --json")[0]["lines"].as_array().unwrap().len(), 30_000);
+    assert_eq!(parsed(&sealed, "log c --json --tail 2")[0]["lines"], json!(["29999", "30000"]));
+}
+
+#[test]
+fn a_stage_that_was_stopped_after_it_failed_is_stale_and_not_failed() {
+    let sealed = Sealed::new();
+    let fail = sealed.path("fail");
+    let shell = format!("if test -e {}; then exit 3; fi; sleep 60", fail.display());
+    sealed.write(
+        "p.yaml",
+        &format!(
+            "name: p\nstages:\n  c: {{ kind: command, with: {{ shell: '{shell}', outputs: {{ o: o }} }} }}\n"
+        ),
+    );
+    let state = || parsed(&sealed, "status p.yaml --json")[0]["state"].as_str().unwrap().to_owned();
+    sealed.write("fail", "");
+    assert_eq!(sealed.run("run p.yaml").code, 1);
+    assert_eq!(state(), "failed");
+    std::fs::remove_file(&fail).unwrap();
+    let mut child = sealed.command("run p.yaml --quiet").spawn().unwrap();
+    until("it runs", || {
+        let now = parsed(&sealed, "status p.yaml --json")[0].clone();
+        now["state"] == "running" && now["since"].is_number()
+    });
+    signal(&child, "INT");
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    assert_eq!(state(), "stale");
+    assert!(parsed(&sealed, "status p.yaml --json")[0]["error"].is_null());
+    let mut report = sealed.command("report p.yaml --out report.html");
+    report.env("DRIL_FAKES_PAGE", "1");
+    assert_eq!(ended(report).code, 0);
+    let page = sealed.read("report.html");
+    assert!(page.contains("c: Stale") && !page.contains("Failed("), "{page}");
+    sealed.write("fail", "");
+    assert_eq!(sealed.run("run p.yaml").code, 1);
+    assert_eq!(state(), "failed");
 }

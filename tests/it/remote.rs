@@ -83,6 +83,20 @@ fn a_settings_file_beside_the_pipeline_names_the_cache_and_changes_no_key() {
 }
 
 #[test]
+fn what_only_excludes_may_come_from_the_cache() {
+    let (_folder, url) = shared_folder();
+    let (one, other) = (machine(WORDS), machine(WORDS));
+    let refused = other.run(&format!("run p.yaml gather --only --remote {url}"));
+    assert_eq!(refused.code, 2, "{refused:?}");
+    assert!(refused.stderr.contains("`--only` excludes"), "{}", refused.stderr);
+    end(&one, &format!("--remote {url} --remote-mode read-write"));
+    let taken = end(&other, &format!("gather --only --remote {url}"));
+    assert_eq!((&taken["event"], &taken["ran"]), (&"ended".into(), &0.into()), "{taken}");
+    let ran = end(&other, &format!("gather --only --set gather.separator=x --remote {url}"));
+    assert_eq!(ran["ran"], 1, "{ran}");
+}
+
+#[test]
 fn pull_takes_all_there_is_or_what_a_pipeline_needs() {
     let (_folder, url) = shared_folder();
     let one = machine(WORDS);

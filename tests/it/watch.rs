@@ -2,7 +2,7 @@
 
 use std::process::Stdio;
 
-use crate::sealed::{Sealed, signal, until};
+use crate::sealed::{Sealed, lines, signal, until};
 
 #[test]
 fn an_edit_of_the_pipeline_or_of_a_file_that_it_reads_runs_it_again() {
@@ -62,6 +62,20 @@ fn an_edit_of_a_file_in_a_folder_from_outside_runs_it_again() {
     until("the edit was seen", || result() == "other");
     sealed.write("d/sub/two.txt", " and two");
     until("the new file was seen", || result() == "other and two");
+    signal(&child, "INT");
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+}
+
+#[test]
+fn as_json_lines_a_mistake_is_an_event_too() {
+    let sealed = Sealed::with("name: x\nstages: nonsense\n");
+    let out = std::fs::File::create(sealed.path("out")).unwrap();
+    let mut child = sealed.command("watch p.yaml --json").stdout(out).stderr(Stdio::null()).spawn().unwrap();
+    let events = || lines(&sealed.read("out"));
+    until("the mistake is an event", || !events().is_empty());
+    assert_eq!((&events()[0]["event"], &events()[0]["kind"]), (&"error".into(), &"pipeline".into()));
+    sealed.write("p.yaml", "name: x\nstages:\n  a: { kind: emit, with: { text: a } }\n");
+    until("it ran", || events().last().unwrap()["event"] == "ended");
     signal(&child, "INT");
     assert_eq!(child.wait().unwrap().code(), Some(130));
 }

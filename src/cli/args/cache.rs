@@ -54,7 +54,7 @@ pub(in crate::cli) struct GcArgs {
     /// Keep the results of this pipeline file (all profiles) or lock file; can be repeated
     #[arg(long, value_name = "FILE")]
     pub keep: Vec<PathBuf>,
-    /// Remove the least recently used results until the cache is smaller than this, as in `20G`
+    /// Remove the least recently used results, checkpoints and logs until the cache is not larger than this, as in `20G`
     #[arg(long, value_name = "SIZE", value_parser = parse_size)]
     pub max_size: Option<u64>,
     /// Remove results, checkpoints and logs that have not been used for this long, as in `30d`

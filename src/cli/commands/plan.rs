@@ -25,7 +25,8 @@ pub(in crate::cli) fn main(args: &PlanArgs, registry: &Registry) -> Result<ExitC
     let session = pipeline::session(&args.pipeline, &args.store, registry)?;
     let session = session.selection(args.select.selection());
     let loaded = session.load()?;
-    let cluster = executor::cluster(&args.executor, shared::settings(Some(&args.pipeline.file))?)?;
+    let cluster =
+        executor::cluster(&args.executor, shared::settings(Some(&args.pipeline.file), Some(registry))?)?;
     print_plan(&loaded.plan()?, session.store(), (args.json, args.all), cluster.as_ref())?;
     Ok(ExitCode::SUCCESS)
 }

@@ -1,19 +1,20 @@
 //! `run --check-determinism`: runs every stage a second time and reports outputs that differ.
 
 use std::sync::atomic::AtomicBool;
+use std::time::Instant;
 
 use serde_json::json;
 
 use crate::cli::args::RunArgs;
-use crate::cli::pipeline;
 use crate::cli::terminal::{Style, Terminal, count, print, print_error, printable, shown};
+use crate::cli::{pipeline, report};
 use crate::error::{Error, exit_codes};
 use crate::exec::{self, Options, RecheckOutcome, Runner};
 use crate::plan;
 use crate::resolve::Graph;
 use crate::store::Store;
 
-/// Runs all stages of a finished run a second time. Returns the exit code.
+/// Runs all stages of a run that started at `began` a second time. Returns the exit code.
 pub(in crate::cli) fn main(
     args: &RunArgs,
     graph: &Graph,
@@ -21,6 +22,7 @@ pub(in crate::cli) fn main(
     runner: &dyn Runner,
     options: &Options,
     stop: &AtomicBool,
+    began: Instant,
 ) -> Result<u8, Error> {
     let terminal = Terminal::stdout();
     let total = graph.stages.node_count();
@@ -34,7 +36,7 @@ pub(in crate::cli) fn main(
         number += 1;
         let id = &graph.stages[stage].id;
         if args.json {
-            let _ = print(&format!("{}\n", line(id, outcome)));
+            let _ = print(&format!("{}\n", line(id, outcome, began)));
         } else if talks && outcome.is_same() {
             let same = terminal.paint(Style::Good, "same   ");
             let _ =
@@ -83,8 +85,9 @@ fn text(outcome: &RecheckOutcome) -> String {
     }
 }
 
-fn line(id: &str, outcome: &RecheckOutcome) -> serde_json::Value {
-    let mut line = json!({ "event": "checked", "stage": id, "same": outcome.is_same() });
+fn line(id: &str, outcome: &RecheckOutcome, began: Instant) -> serde_json::Value {
+    let at = report::seconds_since(began);
+    let mut line = json!({ "event": "checked", "at": at, "stage": id, "same": outcome.is_same() });
     match outcome {
         RecheckOutcome::Differs { output, at, path } => {
             line["output"] = json!(output);

@@ -17,7 +17,8 @@ use crate::session::{LockMode, UpToDate};
 
 pub(in crate::cli) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCode, Error> {
     let began = Instant::now();
-    let cluster = executor::cluster(&args.executor.executor, shared::settings(Some(&args.pipeline.file))?)?;
+    let settings = shared::settings(Some(&args.pipeline.file), Some(registry))?;
+    let cluster = executor::cluster(&args.executor.executor, settings)?;
     let mut options = options(args, began, cluster.is_some())?;
     executor::adapt(&mut options, args, cluster.as_ref());
     let session = pipeline::session(&args.pipeline, &args.store, registry)?
@@ -45,11 +46,12 @@ pub(in crate::cli) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCo
     let shared =
         shared::open(args.remote.url.as_deref(), args.remote_mode.mode(), Some(&args.pipeline.file))?;
     let (plan, taken) = match shared.as_ref().filter(|shared| shared.mode.reads()) {
-        Some(shared) => shared::take(shared, session.store(), &stop, || loaded.plan())?,
-        None => (loaded.plan()?, Taken::default()),
+        Some(shared) => shared::take(shared, session.store(), &stop, || loaded.draft())?,
+        None => (loaded.draft()?, Taken::default()),
     };
+    loaded.check(&plan)?;
     let prepared = loaded.prepare(plan)?;
-    let mut reporter = report::choose(args, loaded.graph());
+    let mut reporter = report::choose(args, loaded.graph(), began);
     reporter.planned(prepared.plan(), options.threads);
     let runner = executor::runner(args, cluster, session.store().root())?;
     let (finished, given) = giving::beside(shared.as_ref(), session.store(), &stop, |on_event| {
@@ -70,7 +72,7 @@ pub(in crate::cli) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCo
     page::after_run(args, loaded.whole_graph(), session.store(), &finished.folder);
     if args.check_determinism && code == exit_codes::OK {
         drop(reporter);
-        code = recheck::main(args, loaded.graph(), session.store(), &*runner, &options, &stop)?;
+        code = recheck::main(args, loaded.graph(), session.store(), &*runner, &options, &stop, began)?;
     }
     Ok(ExitCode::from(code))
 }

@@ -14,7 +14,7 @@ use dril_stage_api::Registry;
 use super::run;
 use crate::cli::args::RunArgs;
 use crate::cli::terminal::{Style, Terminal, count, print, print_error, shown};
-use crate::cli::{pipeline, signals};
+use crate::cli::{pipeline, report, signals};
 use crate::error::{Error, exit_codes};
 use crate::fsx;
 use crate::plan;
@@ -33,9 +33,12 @@ pub(in crate::cli) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCo
     let stop = signals::stop_flag()?;
     let mut files = files(args, registry);
     loop {
-        let before = looks(&files);
+        let (before, began) = (looks(&files), Instant::now());
         // A mistake in the file is reported, and the next edit can correct it.
         if let Err(error) = run::main(args, registry) {
+            if args.json {
+                print(&report::error_line(&error, began))?;
+            }
             print_error(&error.to_string());
         }
         files = self::files(args, registry);

@@ -20,13 +20,14 @@ pub(super) struct Json<'g> {
 }
 
 impl<'g> Json<'g> {
-    pub fn new(graph: &'g Graph) -> Self {
-        Self { graph, began: Instant::now() }
+    /// `began` is the start of the run.
+    pub fn new(graph: &'g Graph, began: Instant) -> Self {
+        Self { graph, began }
     }
 
     fn say(&self, event: &str, mut fields: Value) {
         fields["event"] = json!(event);
-        fields["at"] = json!(self.began.elapsed().as_millis() as f64 / 1000.0);
+        fields["at"] = seconds_since(self.began);
         // A closed pipe must not stop the run.
         let _ = print(&format!("{fields}\n"));
     }
@@ -119,11 +120,17 @@ impl Reporter for Json<'_> {
     }
 }
 
+/// The time of an event: seconds since the start.
+pub(in crate::cli) fn seconds_since(began: Instant) -> Value {
+    json!(began.elapsed().as_millis() as f64 / 1000.0)
+}
+
 /// The line of an error that kept the run from starting or continuing.
-pub(in crate::cli) fn error_line(error: &Error) -> String {
+pub(in crate::cli) fn error_line(error: &Error, began: Instant) -> String {
     let code = error.kind().exit_code();
     let fields = json!({
         "event": "error", "kind": error.kind().name(), "exit_code": code, "error": error.to_string(),
+        "at": seconds_since(began),
     });
     format!("{fields}\n")
 }

@@ -7,7 +7,9 @@ mod plain;
 mod quiet;
 mod text;
 
-pub(super) use json::error_line;
+pub(super) use json::{error_line, seconds_since};
+
+use std::time::Instant;
 
 use super::args::RunArgs;
 use super::shared::Exchange;
@@ -38,11 +40,11 @@ pub(super) struct Ending<'a> {
     pub exit_code: u8,
 }
 
-/// The reporter that the arguments and the terminal ask for.
-pub(super) fn choose<'g>(args: &RunArgs, graph: &'g Graph) -> Box<dyn Reporter + 'g> {
+/// The reporter that the arguments and the terminal ask for; `began` is the start of the run.
+pub(super) fn choose<'g>(args: &RunArgs, graph: &'g Graph, began: Instant) -> Box<dyn Reporter + 'g> {
     let terminal = Terminal::stdout();
     if args.json {
-        Box::new(json::Json::new(graph))
+        Box::new(json::Json::new(graph, began))
     } else if args.quiet {
         Box::new(quiet::Quiet::new(graph))
     } else if terminal.live {

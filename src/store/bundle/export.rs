@@ -53,8 +53,8 @@ impl Store {
 
     fn fill(&self, zip: &mut Zip<'_>, all: &Crate<'_>) -> io::Result<()> {
         text(zip, "ro-crate-metadata.json", &format!("{:#}\n", describe(all)))?;
-        if let Some(pipeline) = all.pipeline() {
-            text(zip, "pipeline.yaml", pipeline)?;
+        for (name, source) in all.pipeline() {
+            text(zip, &name, source)?;
         }
         for name in ["run.json", "events.jsonl"] {
             if let Some(bytes) = fsx::read_if_there(&all.run.folder.join(name)).map_err(io::Error::other)? {

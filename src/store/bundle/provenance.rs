@@ -5,7 +5,7 @@
 //! every stage a `CreateAction` with its kind as instrument, its inputs as objects and its outputs as results.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde_json::{Value, json};
@@ -28,6 +28,14 @@ const WORKFLOW: (&str, &str, &str) = (
     "1.0-RELEASE",
 );
 
+/// The name of a pipeline file that includes no other.
+const ALONE: &str = "pipeline.yaml";
+
+/// True for a relative path that does not leave its folder.
+fn stays_inside(path: &str) -> bool {
+    !path.contains('\\') && Path::new(path).components().all(|part| matches!(part, Component::Normal(_)))
+}
+
 /// The contents of the archive.
 pub(super) struct Crate<'a> {
     pub run: &'a PastRun,
@@ -37,9 +45,23 @@ pub(super) struct Crate<'a> {
 }
 
 impl Crate<'_> {
-    /// The text of the pipeline file, if it is in the run's manifest.
-    pub fn pipeline(&self) -> Option<&str> {
-        self.run.manifest["source"].as_str()
+    /// The pipeline file and those that it includes, with their names in the archive and their texts, the file itself first; none
+    /// where the run's manifest has no text.
+    pub fn pipeline(&self) -> Vec<(String, &str)> {
+        let manifest = &self.run.manifest;
+        let Some(main) = manifest["source"].as_str() else { return Vec::new() };
+        let Some(parts) = manifest["parts"].as_object() else { return vec![(ALONE.to_owned(), main)] };
+        let path = manifest["source_path"].as_str().filter(|path| stays_inside(path));
+        let parts = parts.iter().filter_map(|(path, text)| Some((path.as_str(), text.as_str()?)));
+        let parts =
+            parts.filter(|(path, _)| stays_inside(path) && Some(*path) != manifest["source_path"].as_str());
+        let all = std::iter::once((path.unwrap_or(ALONE), main)).chain(parts);
+        all.map(|(path, text)| (format!("pipeline/{path}"), text)).collect()
+    }
+
+    /// The name of the pipeline file in the archive.
+    fn main(&self) -> Option<String> {
+        self.pipeline().into_iter().next().map(|(name, _)| name)
     }
 }
 
@@ -79,11 +101,8 @@ fn descriptor() -> Value {
 
 fn root(all: &Crate<'_>) -> Value {
     let run = all.run;
-    let mut parts: Vec<String> =
-        vec!["pipeline.yaml".to_owned(), "run/run.json".to_owned(), "run/events.jsonl".to_owned()];
-    if all.pipeline().is_none() {
-        parts.remove(0);
-    }
+    let mut parts: Vec<String> = all.pipeline().into_iter().map(|(name, _)| name).collect();
+    parts.extend(["run/run.json", "run/events.jsonl"].map(str::to_owned));
     parts.extend(all.blobs.keys().map(blob));
     parts.extend(all.records.keys().map(|key| format!("records/{key}.json")));
     parts.extend(all.logs.iter().map(|path| log(path)));
@@ -97,27 +116,41 @@ fn root(all: &Crate<'_>) -> Value {
         "conformsTo": ids(PROFILES.map(|(id, _, _)| id.to_owned())),
         "hasPart": ids(parts), "mentions": ids(mentions),
     });
-    if all.pipeline().is_some() {
-        root["mainEntity"] = json!({ "@id": "pipeline.yaml" });
+    if let Some(main) = all.main() {
+        root["mainEntity"] = json!({ "@id": main });
     }
     root
 }
 
 fn workflow(all: &Crate<'_>) -> Vec<Value> {
-    let Some(text) = all.pipeline() else { return Vec::new() };
-    let version = format!("blake3:{}", Digest::of(text.as_bytes()));
-    vec![
+    let files = all.pipeline();
+    let Some(((main, text), parts)) = files.split_first() else { return Vec::new() };
+    let version = |text: &str| format!("blake3:{}", Digest::of(text.as_bytes()));
+    let mut workflow = json!({
+        "@id": main, "@type": ["File", "SoftwareSourceCode", "ComputationalWorkflow"],
+        "name": all.run.pipeline, "programmingLanguage": { "@id": "#dril-pipe-yaml" },
+        "encodingFormat": "application/yaml", "version": version(text), "conformsTo": { "@id": WORKFLOW.0 },
+    });
+    if !parts.is_empty() {
+        workflow["hasPart"] = ids(parts.iter().map(|(name, _)| name.clone()));
+    }
+    let included = parts.iter().map(|(name, text)| {
         json!({
-            "@id": "pipeline.yaml", "@type": ["File", "SoftwareSourceCode", "ComputationalWorkflow"],
-            "name": all.run.pipeline, "programmingLanguage": { "@id": "#dril-pipe-yaml" },
-            "encodingFormat": "application/yaml", "version": version, "conformsTo": { "@id": WORKFLOW.0 },
-        }),
+            "@id": name, "@type": ["File", "SoftwareSourceCode"], "name": name,
+            "programmingLanguage": { "@id": "#dril-pipe-yaml" }, "encodingFormat": "application/yaml",
+            "version": version(text),
+        })
+    });
+    let mut all = vec![
+        workflow,
         json!({ "@id": WORKFLOW.0, "@type": "CreativeWork", "name": WORKFLOW.1, "version": WORKFLOW.2 }),
         json!({
             "@id": "#dril-pipe-yaml", "@type": "ComputerLanguage", "name": "dril-pipe pipeline file",
             "encodingFormat": "application/yaml",
         }),
-    ]
+    ];
+    all.extend(included);
+    all
 }
 
 fn engine(all: &Crate<'_>) -> Value {
@@ -134,7 +167,7 @@ fn whole_run(all: &Crate<'_>) -> Value {
         "@id": "#run", "@type": "CreateAction", "name": format!("run {}", run.id),
         "description": format!("the run of all stages of {}, profile {}", run.pipeline, run.profile),
         "startTime": iso(run.began),
-        "instrument": { "@id": if all.pipeline().is_some() { "pipeline.yaml" } else { "#engine" } },
+        "instrument": { "@id": all.main().unwrap_or_else(|| "#engine".to_owned()) },
         "object": ids(read.iter().map(|digest| at(all, digest))), "result": ids(made.iter().map(blob)),
     });
     if let Some(end) = run.end {

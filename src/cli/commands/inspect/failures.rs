@@ -9,10 +9,11 @@ use crate::store::{Key, StageState, Store};
 /// The number of past runs that are searched.
 const RUNS: usize = 20;
 
-/// Messages of failed stages, by key.
+/// What became of the latest try of stages, by key.
 #[derive(Debug, Default)]
 pub(in crate::cli) struct Failures {
-    messages: HashMap<Key, String>,
+    /// The message of one that failed; `None` where it did not.
+    messages: HashMap<Key, Option<String>>,
 }
 
 impl Failures {
@@ -27,9 +28,10 @@ impl Failures {
             if run.pipeline != plan.graph.pipeline || run.profile != plan.graph.profile {
                 continue;
             }
-            for stage in run.stages.into_values().filter(|stage| stage.fate == StageState::Failed) {
+            for stage in run.stages.into_values().filter(|stage| stage.fate.was_started()) {
+                let message = (stage.fate == StageState::Failed).then(|| stage.error.unwrap_or_default());
                 if let Some(key) = stage.key {
-                    failures.messages.entry(key).or_insert(stage.error.unwrap_or_default());
+                    failures.messages.entry(key).or_insert(message);
                 }
             }
         }
@@ -38,6 +40,6 @@ impl Failures {
 
     /// Why the latest try of this key failed; `None` where it did not.
     pub(in crate::cli) fn message(&self, key: &Key) -> Option<&str> {
-        self.messages.get(key).map(String::as_str)
+        self.messages.get(key)?.as_deref()
     }
 }

@@ -15,7 +15,7 @@ use crate::cli::{columns, pipeline};
 use crate::error::Error;
 use crate::plan::{self, Estimates, Plan, Verdict};
 use crate::resolve::StageIndex;
-use crate::store::{Key, PastRun, StageState, Store};
+use crate::store::{Key, PastRun, StageOfRun, StageState, Store};
 
 /// The number of past runs that are searched for failures.
 const RUNS: usize = 20;
@@ -103,11 +103,11 @@ impl Past {
         Ok(Self { runs })
     }
 
-    /// The latest entry of a stage with that key in that state.
-    fn latest(&self, key: &Key, fate: StageState) -> Option<(&PastRun, &crate::store::StageOfRun)> {
+    /// The latest entry of a stage with that key in such a state.
+    fn latest(&self, key: &Key, is: impl Fn(StageState) -> bool) -> Option<(&PastRun, &StageOfRun)> {
         self.runs.iter().find_map(|run| {
             let mut stages = run.stages.values();
-            stages.find(|stage| stage.key == Some(*key) && stage.fate == fate).map(|stage| (run, stage))
+            stages.find(|stage| stage.key == Some(*key) && is(stage.fate)).map(|stage| (run, stage))
         })
     }
 }
@@ -130,11 +130,15 @@ fn line(
         }
         Some(Verdict::Run { key, .. }) if store.is_being_made(key) => {
             line.state = State::Running;
-            line.since = past.latest(key, StageState::Started).map(|(run, stage)| run.time(stage.at));
+            let started = past.latest(key, |fate| fate == StageState::Started);
+            line.since = started.map(|(run, stage)| run.time(stage.at));
         }
         Some(Verdict::Run { key, .. }) => {
             line.state = State::Stale;
-            if let Some((run, failed)) = past.latest(key, StageState::Failed) {
+            // A try that was stopped or killed says nothing about whether it would have failed again.
+            if let Some((run, failed)) = past.latest(key, StageState::was_started)
+                && failed.fate == StageState::Failed
+            {
                 line.state = State::Failed;
                 line.since = Some(run.time(failed.at));
                 line.error.clone_from(&failed.error);
