@@ -62,7 +62,8 @@ pub(super) fn settings(pipeline: Option<&Path>, registry: Option<&Registry>) -> 
     })
 }
 
-fn home() -> Option<PathBuf> {
+/// The user's home folder, if there is one.
+pub(super) fn home() -> Option<PathBuf> {
     std::env::var_os("HOME").filter(|value| !value.is_empty()).map(PathBuf::from)
 }
 

@@ -21,7 +21,7 @@ mod verify;
 use std::path::{Path, PathBuf};
 
 pub use blob::{Blob, hash_file};
-pub use bundle::{Imported, Refusal};
+pub use bundle::{ArchivedRun, Imported, Refusal};
 pub use complete::CompleteRun;
 pub use copies::PrivateCopy;
 pub use digest::{Digest, Key, NotHex};

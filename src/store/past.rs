@@ -141,22 +141,19 @@ impl Store {
             .and_then(|bytes| serde_json::from_slice(&bytes).ok())
             .unwrap_or_default();
         let text = |field: &str| manifest[field].as_str().unwrap_or_default().to_owned();
-        let mut run = PastRun {
+        let events = fsx::read_if_there(&folder.join("events.jsonl"))?.unwrap_or_default();
+        let (stages, end) = stages_of(&events);
+        Ok(PastRun {
             id: id.to_owned(),
             pipeline: text("pipeline"),
             profile: text("profile"),
             began: UNIX_EPOCH + begun_at(id).unwrap_or_default(),
             manifest,
-            stages: BTreeMap::new(),
-            end: None,
+            stages,
+            end,
             alive: self.is_alive(id),
             folder,
-        };
-        let events = fsx::read_if_there(&run.folder.join("events.jsonl"))?.unwrap_or_default();
-        for line in events.split(|byte| *byte == b'\n').filter(|line| !line.is_empty()) {
-            run.hear(line);
-        }
-        Ok(run)
+        })
     }
 
     /// True while the process of that run is alive.
@@ -189,32 +186,41 @@ impl PastRun {
     pub fn time(&self, at: f64) -> SystemTime {
         self.began + Duration::try_from_secs_f64(at).unwrap_or_default()
     }
+}
 
-    fn hear(&mut self, line: &[u8]) {
-        let Ok(line_of) = serde_json::from_slice::<Line>(line) else { return };
-        if line_of.event == "run-finished" {
-            self.end = serde_json::from_slice(line).ok();
-            return;
-        }
-        let fate = match &*line_of.event {
-            "cached" => StageState::Cached,
-            "started" => StageState::Started,
-            "finished" => StageState::Ran,
-            "failed" => StageState::Failed,
-            "skipped" => StageState::Skipped,
-            "stopped" => StageState::Stopped,
-            "waiting" => StageState::Waiting,
-            _ => return,
-        };
-        let Some(name) = line_of.stage else { return };
-        let stage = self.stages.entry(name).or_default();
-        stage.fate = fate;
-        stage.at = line_of.at;
-        stage.key = line_of.key.or(stage.key);
-        stage.seconds = line_of.seconds.or(stage.seconds);
-        stage.error = line_of.error;
-        if fate == StageState::Started {
-            stage.why = line_of.why;
-        }
+/// The outcome of each stage in an event log, by id, and the end of the run.
+pub(super) fn stages_of(events: &[u8]) -> (BTreeMap<String, StageOfRun>, Option<RunEnd>) {
+    let (mut stages, mut end) = (BTreeMap::new(), None);
+    for line in events.split(|byte| *byte == b'\n').filter(|line| !line.is_empty()) {
+        hear(line, &mut stages, &mut end);
+    }
+    (stages, end)
+}
+
+fn hear(line: &[u8], stages: &mut BTreeMap<String, StageOfRun>, end: &mut Option<RunEnd>) {
+    let Ok(line_of) = serde_json::from_slice::<Line>(line) else { return };
+    if line_of.event == "run-finished" {
+        *end = serde_json::from_slice(line).ok();
+        return;
+    }
+    let fate = match &*line_of.event {
+        "cached" => StageState::Cached,
+        "started" => StageState::Started,
+        "finished" => StageState::Ran,
+        "failed" => StageState::Failed,
+        "skipped" => StageState::Skipped,
+        "stopped" => StageState::Stopped,
+        "waiting" => StageState::Waiting,
+        _ => return,
+    };
+    let Some(name) = line_of.stage else { return };
+    let stage = stages.entry(name).or_default();
+    stage.fate = fate;
+    stage.at = line_of.at;
+    stage.key = line_of.key.or(stage.key);
+    stage.seconds = line_of.seconds.or(stage.seconds);
+    stage.error = line_of.error;
+    if fate == StageState::Started {
+        stage.why = line_of.why;
     }
 }

@@ -230,6 +230,8 @@ pub enum Mishap {
     None,
     /// An error.
     Fail,
+    /// An error about its input, with its path.
+    Refuse,
     /// A panic.
     Panic,
     /// An abort, as from a broken library.
@@ -335,6 +337,9 @@ fn mishap(params: &CountParams, step: u64, ctx: &Ctx<'_>) -> Result<(), StageErr
     }
     match params.mishap {
         Mishap::Fail => return Err(StageError::failed(format!("told to fail at {step}"))),
+        Mishap::Refuse => {
+            return Err(StageError::input("start", ctx.input("start")?, "told to refuse /etc/fakes/it"));
+        }
         Mishap::Panic => panic!("told to panic at {step}"),
         Mishap::Crash => {
             eprintln!("about to crash");

@@ -45,6 +45,26 @@ fn a_page_tells_of_what_failed_and_a_run_with_failures_has_one() {
 }
 
 #[test]
+fn a_failure_in_a_report_names_no_folder_of_this_machine() {
+    let pipeline = "name: p\nstages:\n  say: { kind: emit, with: { text: x } }\n  a:\n    kind: count\n    \
+                    with: { mishap: refuse }\n    inputs: { start: say }\n";
+    let sealed = Sealed::with(pipeline);
+    let elsewhere = tempfile::tempdir().unwrap();
+    for cache in ["cache", elsewhere.path().to_str().unwrap()] {
+        let failed = run(&sealed, &format!("run p.yaml --cache {cache}"));
+        assert_eq!(failed.code, 1, "{failed:?}");
+        let page = sealed.read("results/p-default/report.html");
+        assert!(
+            page.contains("input `start`, <cache>/blobs-v1/") && page.contains("told to refuse …/it"),
+            "{page}"
+        );
+        for folder in [sealed.path("").as_path(), elsewhere.path()] {
+            assert!(!page.contains(folder.to_str().unwrap().trim_end_matches('/')), "{page}");
+        }
+    }
+}
+
+#[test]
 fn a_report_of_another_program_is_left_alone() {
     let sealed = Sealed::with(WORDS);
     sealed.write("results/words-full/report.html", "mine");
@@ -86,6 +106,27 @@ fn a_report_compares_with_an_earlier_run_or_with_an_archive() {
     assert!(stages.contains("count[word=two]: [(\"word\", \"two\")]"), "{stages}");
     let (archive, exported) = of("run.zip");
     assert_eq!((archive.as_str(), exported), ("run.zip", stages));
+}
+
+#[test]
+fn an_archive_has_the_names_of_its_run_and_not_those_of_the_stages_that_ran_first() {
+    let stages = |names: [&str; 2]| {
+        let stage = |name| format!("  {name}: {{ kind: emit, with: {{ text: x }} }}\n");
+        format!("name: p\nstages:\n{}", names.map(stage).concat())
+    };
+    let sealed = Sealed::with(&stages(["first", "second"]));
+    assert_eq!(run(&sealed, "run p.yaml").code, 0);
+    // Two stages with one key; then another name for one of them, which runs nothing.
+    for (names, args) in [(["first", "second"], ""), (["premier", "second"], " --force second")] {
+        sealed.write("p.yaml", &stages(names));
+        assert_eq!(run(&sealed, &format!("run p.yaml{args}")).code, 0);
+        assert_eq!(run(&sealed, "cache export last --out run.zip").code, 0);
+        assert_eq!(run(&sealed, "report p.yaml --against run.zip").code, 0);
+        let page = sealed.read("results/p-default/report.html");
+        let (_, other) = page.split_once("against run.zip\n").unwrap();
+        let expected = names.map(|name| format!("{name}: [] [1]\n")).concat();
+        assert_eq!(other, expected);
+    }
 }
 
 #[test]

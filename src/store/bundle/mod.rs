@@ -13,9 +13,11 @@
 
 mod export;
 mod import;
+mod named;
 mod provenance;
 
 pub use import::{Imported, Refusal};
+pub use named::ArchivedRun;
 
 /// Folder of the archive for records.
 const RECORDS: &str = "records/";

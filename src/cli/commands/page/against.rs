@@ -1,7 +1,7 @@
 //! The other side of `report --against`: an earlier run of the cache or an archive of `cache export`, as plain data. It has the
-//! stages whose results exist.
+//! stages whose results exist, by the names that they had in that run: a record has the name of the first stage that made it.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use dril_stage_api::Registry;
@@ -11,7 +11,7 @@ use crate::cli::commands::inspect::pick_run;
 use crate::error::{Error, ErrorKind};
 use crate::fsx;
 use crate::plan::key_of_record;
-use crate::store::{Key, Record, Store};
+use crate::store::{ArchivedRun, Key, Record, Store};
 
 /// What the pipeline is compared with; the folder into which an archive is unpacked is removed with this value.
 pub(super) struct Other {
@@ -52,9 +52,15 @@ impl Other {
             let text = format!("`{}` is damaged: `{}`: {}", file.display(), refusal.name, refusal.why);
             return Err(Error::new(ErrorKind::Io, text).hint("export the run again"));
         }
-        let records = store.records()?;
-        let stages = records.iter().map(|(key, record)| done(&record.stage, key, record, &store, registry));
-        let outcome = outcome(String::new(), "of the archive".to_owned(), stages.collect());
+        let run = ArchivedRun::read(file)?;
+        let records: BTreeMap<Key, Record> = store.records()?.into_iter().collect();
+        let named: BTreeSet<Key> = run.keys.values().copied().collect();
+        let unnamed = records.iter().filter(|(key, _)| !named.contains(*key));
+        let all = run.keys.iter().filter_map(|(id, key)| Some((id.as_str(), key, records.get(key)?)));
+        let all = all.chain(unnamed.map(|(key, record)| (record.stage.as_str(), key, record)));
+        let stages = all.map(|(id, key, record)| done(id, key, record, &store, registry)).collect();
+        let profile = if run.profile.is_empty() { "of the archive".to_owned() } else { run.profile };
+        let outcome = outcome(run.pipeline, profile, stages);
         let name = file.file_name().map_or_else(|| file.to_owned(), PathBuf::from).display().to_string();
         Ok(Self { name, outcome, _unpacked: Some(unpacked) })
     }

@@ -7,6 +7,7 @@ use dril_stage_api::Kind;
 use dril_stage_api::outcome::{InputOutcome, OutputOutcome, PipelineOutcome, StageOutcome, State};
 use serde_json::Value;
 
+use super::folders::Folders;
 use crate::cli::args::PipelineArgs;
 use crate::cli::commands::inspect::failures::Failures;
 use crate::cli::pipeline;
@@ -27,7 +28,8 @@ pub(super) fn outcome(
     let plan = plan::plan(graph, store, &pipeline::source(args).base())?;
     let base = pipeline::source(args).base();
     let failures = Failures::of(&plan, store)?;
-    let viewer = Viewer { plan: &plan, store, base: &base, failures, files: files(graph, folder) };
+    let folders = Folders::new(store.root(), &base);
+    let viewer = Viewer { plan: &plan, store, base: &base, failures, folders, files: files(graph, folder) };
     let stages = graph.stages.node_indices().map(|stage| viewer.stage(stage)).collect::<Result<_, _>>()?;
     Ok(PipelineOutcome {
         pipeline: graph.pipeline.clone(),
@@ -63,6 +65,8 @@ struct Viewer<'a> {
     /// The folder that external files are relative to.
     base: &'a Path,
     failures: Failures,
+    /// The folders that messages must not show.
+    folders: Folders,
     files: BTreeMap<(String, String), String>,
 }
 
@@ -75,7 +79,7 @@ impl Viewer<'_> {
                 (State::Running, Some(*key), None)
             }
             Some(Verdict::Run { key, .. }) => match self.failures.message(key) {
-                Some(message) => (State::Failed(message.to_owned()), Some(*key), None),
+                Some(message) => (State::Failed(self.folders.hide(message)), Some(*key), None),
                 None => (State::Stale, Some(*key), None),
             },
             _ => (State::Waiting, None, None),

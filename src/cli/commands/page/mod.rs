@@ -3,6 +3,7 @@
 
 mod against;
 mod collect;
+mod folders;
 
 use std::path::Path;
 use std::process::ExitCode;
