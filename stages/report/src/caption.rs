@@ -73,6 +73,14 @@ impl Caption<'_> {
     }
 }
 
+/// Which results are of agents whose training diverged; `None` without any.
+pub(crate) fn divergence(diverged: &[String]) -> Option<String> {
+    let names: Vec<String> = diverged.iter().map(|name| escape(name)).collect();
+    (!names.is_empty()).then(|| {
+        format!("**training diverged**, and the last finite weights were evaluated: {}", names.join("; "))
+    })
+}
+
 /// What a cell's `mean ± std` is, for cells of so many episodes.
 pub(crate) fn statistic(episodes: impl IntoIterator<Item = usize>) -> String {
     let mut range: Option<(usize, usize)> = None;

@@ -4,7 +4,7 @@ use dril_stage_api::{Artifact, Ctx, Describe, Ports, Problems, Stage, StageError
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::caption::{self, Caption, OURS, statistic};
+use crate::caption::{self, Caption, OURS, divergence, statistic};
 use crate::markdown::{self, Column};
 use crate::number::precise;
 use crate::reference::{self, Published, Reference, Row};
@@ -13,8 +13,8 @@ use crate::score::Score;
 
 /// The label that names a row; a named fan-in of the pipeline file gives it to its items.
 const NAME: &str = "name";
-const COLUMNS: [&str; 7] =
-    ["algorithm", "mean", "std", "episodes", "source", "reference_mean", "reference_std"];
+const COLUMNS: [&str; 8] =
+    ["algorithm", "mean", "std", "episodes", "diverged", "source", "reference_mean", "reference_std"];
 
 /// Parameters of [`Leaderboard`].
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
@@ -50,13 +50,14 @@ impl LeaderboardParams {
 /// with source `this run`. A reference row whose source is `reference_name` and whose algorithm this run has too is shown beside
 /// this run's row (`reference_mean`, `reference_std`) and not in one of its own.
 ///
-/// Outputs: `csv` with the columns `algorithm,mean,std,episodes,source,reference_mean,reference_std` (this run's numbers with
-/// two decimals, published ones as the reference writes them; `episodes` is empty for those), and `markdown`.
+/// Outputs: `csv` with the columns `algorithm,mean,std,episodes,diverged,source,reference_mean,reference_std` (this run's
+/// numbers with two decimals, published ones as the reference writes them; `episodes` and `diverged` are empty for those),
+/// and `markdown`.
 pub struct Leaderboard;
 
 impl Describe for Leaderboard {
     const KIND: &'static str = "leaderboard";
-    const REVISION: u32 = 2;
+    const REVISION: u32 = 3;
     const ABOUT: &'static str = "lists published results, followed by evaluations of this run";
     const SEEDED: bool = false;
     type Params = LeaderboardParams;
@@ -125,6 +126,14 @@ impl Entry<'_> {
         }
     }
 
+    /// How many of its evaluations are of an agent whose training diverged; `None` for what was published.
+    fn diverged(&self) -> Option<usize> {
+        match self {
+            Self::Published(_) => None,
+            Self::Ours { group, .. } => Some(group.diverged),
+        }
+    }
+
     /// What was published for a row of this run.
     fn beside(&self) -> Option<&Row> {
         match self {
@@ -160,11 +169,13 @@ fn csv_text(entries: &[Entry<'_>]) -> Result<Vec<u8>, Box<dyn std::error::Error>
             Entry::Published(row) => (text(row.mean.as_ref()), text(row.std.as_ref())),
             Entry::Ours { group, .. } => (precise(group.summary.mean), precise(group.summary.std)),
         };
-        let episodes = entry.episodes().map_or_else(String::new, |n| n.to_string());
+        let count = |number: Option<usize>| number.map_or_else(String::new, |n| n.to_string());
+        let (episodes, diverged) = (count(entry.episodes()), count(entry.diverged()));
         let reference_mean = text(entry.beside().and_then(|row| row.mean.as_ref()));
         let reference_std = text(entry.beside().and_then(|row| row.std.as_ref()));
         let (algorithm, source) = (entry.algorithm(), entry.source());
-        writer.write_record([algorithm, &mean, &std, &episodes, source, &reference_mean, &reference_std])?;
+        let ours = [algorithm, &mean, &std, &episodes, &diverged];
+        writer.write_record(ours.into_iter().chain([source, &reference_mean, &reference_std]))?;
     }
     Ok(writer.into_inner()?)
 }
@@ -184,9 +195,11 @@ fn page(params: &LeaderboardParams, entries: &[Entry<'_>]) -> String {
         Column::scores(&params.reference_name, &beside),
         Column::counts("episodes", entries.iter().map(Entry::episodes)),
     ]);
-    let remarks = [
+    let mut remarks = vec![
         statistic(entries.iter().filter_map(Entry::episodes)),
         "all other sources: mean ± standard deviation as reported there".to_owned(),
     ];
+    let diverged = entries.iter().filter(|entry| entry.diverged().is_some_and(|count| count > 0));
+    remarks.extend(divergence(&diverged.map(|entry| entry.algorithm().to_owned()).collect::<Vec<_>>()));
     params.caption().page(&[], &table, &remarks)
 }

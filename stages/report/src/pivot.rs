@@ -15,6 +15,10 @@ pub(crate) struct Cell<'a> {
     pub(crate) summary: Summary,
     /// What was published.
     pub(crate) published: Option<&'a Row>,
+    /// How many trainings it holds.
+    pub(crate) trainings: usize,
+    /// The standard error of the mean over the trainings; `None` for one.
+    pub(crate) error: Option<f64>,
     /// How many of its evaluations are of an agent whose training diverged.
     pub(crate) diverged: usize,
 }
@@ -172,6 +176,8 @@ mod tests {
             key: vec![format!("x{}", place % 3), format!("y{}", place / 3 % 3), format!("z{}", place / 9)],
             summary: Summary { mean: *place as f64, std: 0.0, episodes: 1 },
             published: None,
+            trainings: 1,
+            error: None,
             diverged: 0,
         };
         let mut cells: Vec<Cell<'static>> = places.iter().map(cell).collect();

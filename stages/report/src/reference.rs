@@ -45,11 +45,14 @@ impl Reference {
 
     fn parse(bytes: &[u8], keys: &[&str]) -> Result<Self, String> {
         let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes);
+        let unreadable = |error: csv::Error| unreadable(&error, bytes);
         let headers = reader.headers().map_err(unreadable)?.clone();
         let at = positions(&headers, keys)?;
         let mut rows: Vec<Row> = Vec::new();
         for record in reader.records() {
-            let row = row(&record.map_err(unreadable)?, keys, &at)?;
+            let record = record.map_err(unreadable)?;
+            let line = record.position().map_or(0, |position| line(bytes, position));
+            let row = row(&record, line, keys, &at)?;
             if let Some(first) = rows.iter().find(|other| other.key == row.key) {
                 let key = describe(keys, &row.key);
                 return Err(format!(
@@ -92,8 +95,7 @@ fn positions(headers: &csv::StringRecord, keys: &[&str]) -> Result<Vec<usize>, S
     Ok(wanted.iter().filter_map(|name| headers.iter().position(|header| header == *name)).collect())
 }
 
-fn row(record: &csv::StringRecord, keys: &[&str], at: &[usize]) -> Result<Row, String> {
-    let line = record.position().map_or(0, csv::Position::line);
+fn row(record: &csv::StringRecord, line: u64, keys: &[&str], at: &[usize]) -> Result<Row, String> {
     let cell = |column: usize| at.get(column).and_then(|at| record.get(*at)).unwrap_or_default();
     let key: Vec<String> = (0..keys.len()).map(|column| cell(column).to_owned()).collect();
     let mean = number(cell(keys.len()), "mean", line)?;
@@ -114,8 +116,31 @@ fn number(text: &str, column: &str, line: u64) -> Result<Option<Published>, Stri
     }
 }
 
-fn unreadable(error: csv::Error) -> String {
-    format!("not a CSV file: {error}")
+fn unreadable(error: &csv::Error, bytes: &[u8]) -> String {
+    match error.kind() {
+        csv::ErrorKind::UnequalLengths { pos: Some(position), expected_len, len } => {
+            let (line, cells) = (line(bytes, position), if *len == 1 { "cell" } else { "cells" });
+            format!("not a CSV file: line {line} has {len} {cells}, expected {expected_len}")
+        }
+        csv::ErrorKind::Utf8 { pos: Some(position), .. } => {
+            format!("not a CSV file: line {} is not UTF-8", line(bytes, position))
+        }
+        _ => format!("not a CSV file: {error}"),
+    }
+}
+
+/// The line at which a record begins, from 1. The position of a record, and its own line number, may lie before the end of
+/// the line above (`\r\n`) and before empty lines.
+fn line(bytes: &[u8], position: &csv::Position) -> u64 {
+    let at = usize::try_from(position.byte()).map_or(bytes.len(), |at| at.min(bytes.len()));
+    let skipped = bytes[at..].iter().take_while(|byte| matches!(byte, b'\r' | b'\n')).count();
+    let before = &bytes[..at + skipped];
+    let ends = before.iter().enumerate().filter(|(n, byte)| match byte {
+        b'\n' => true,
+        b'\r' => before.get(n + 1) != Some(&b'\n'),
+        _ => false,
+    });
+    ends.count() as u64 + 1
 }
 
 /// `expert=clipped, method=bc`.
@@ -178,6 +203,23 @@ mod tests {
             let message = Reference::parse(text.as_bytes(), &["key"]).unwrap_err();
             assert!(message.contains(part), "{text:?}: {message}");
         }
+    }
+
+    #[test]
+    fn lines_are_counted_as_an_editor_counts_them() {
+        for text in [
+            "key,mean,std\na,1,2\n\nb,one,2\n",
+            "key,mean,std\r\na,1,2\r\n\r\nb,one,2\r\n",
+            "key,mean,std\ra,1,2\r\rb,one,2\r",
+            "\u{feff}key,mean,std\r\n\"a\r\n\",1,2\r\nb,one,2\r\n",
+        ] {
+            let message = Reference::parse(text.as_bytes(), &["key"]).unwrap_err();
+            assert!(message.starts_with("line 4: `mean` is `one`"), "{text:?}: {message}");
+        }
+        let message = Reference::parse(b"key,mean\r\na,1\r\nb\r\n", &["key"]).unwrap_err();
+        assert!(message.contains("line 3 has 1 cell, expected 2"), "{message}");
+        let message = Reference::parse(b"key,mean\r\na,1\r\n\xff,2\r\n", &["key"]).unwrap_err();
+        assert!(message.contains("line 3 is not UTF-8"), "{message}");
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use dril_stage_api::{Ctx, InputItem, Labels, StageError, scores};
 
+use crate::inference::standard_error;
 use crate::stats::Summary;
 
 /// The name of the input in every kind.
@@ -22,8 +23,10 @@ pub(crate) struct Group {
     pub(crate) key: Vec<String>,
     /// All episodes of all its evaluations.
     pub(crate) summary: Summary,
-    /// How many evaluations it holds.
+    /// How many evaluations it holds. Each is of a training of its own, as they differ in labels such as a seed.
     pub(crate) evaluations: usize,
+    /// The standard error of the mean over the means of the evaluations; `None` for one evaluation.
+    pub(crate) error: Option<f64>,
     /// How many of them are of an agent whose training diverged.
     pub(crate) diverged: usize,
 }
@@ -94,8 +97,10 @@ pub(crate) fn pool(samples: &[Sample<'_>], keys: &[String], hint: &str) -> Resul
         .map(|(key, members)| {
             let scores: Vec<f64> = members.iter().flat_map(|sample| &sample.scores).copied().collect();
             let summary = summarise(&scores, &members[0].item)?;
+            let means = members.iter().map(|sample| Ok(summarise(&sample.scores, &sample.item)?.mean));
+            let error = standard_error(&means.collect::<Result<Vec<_>, StageError>>()?);
             let diverged = members.iter().filter(|sample| sample.diverged).count();
-            Ok(Group { key, summary, evaluations: members.len(), diverged })
+            Ok(Group { key, summary, evaluations: members.len(), error, diverged })
         })
         .collect()
 }

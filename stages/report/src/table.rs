@@ -9,7 +9,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::caption::{self, Caption, statistic};
+use crate::caption::{self, Caption, divergence, statistic};
 use crate::markdown::{self, escape};
 use crate::number::precise;
 use crate::pivot::{Cell, Pivot, sort_by_appearance};
@@ -17,7 +17,8 @@ use crate::reference::{self, Published, Reference, Row};
 use crate::samples::{self, Group, Sample};
 
 /// The columns that follow the keys in the CSV.
-const VALUES: [&str; 6] = ["mean", "std", "episodes", "diverged", "reference_mean", "reference_std"];
+const VALUES: [&str; 8] =
+    ["mean", "std", "episodes", "trainings", "mean_error", "diverged", "reference_mean", "reference_std"];
 
 /// Parameters of [`Table`].
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
@@ -57,16 +58,18 @@ impl TableParams {
 /// `mean` and, where it was published, `std` as columns. Rows of the reference that match no evaluation are left out; evaluations that match no
 /// row of the reference have empty `reference_mean` and `reference_std`.
 ///
-/// Outputs: `csv` with the columns `<keys>,mean,std,episodes,diverged,reference_mean,reference_std` (`mean` and `std` with two
-/// decimals, published numbers as the reference writes them), and `markdown`, the same in whole numbers.
-/// `std` is the population standard deviation over the episodes (see [`crate::stats::Summary::std`]).
+/// Outputs: `csv` with the columns `<keys>,mean,std,episodes,trainings,mean_error,diverged,reference_mean,reference_std`
+/// (`mean`, `std` and `mean_error` with two decimals, published numbers as the reference writes them), and `markdown`, the
+/// same in whole numbers. `std` is the population standard deviation over the episodes (see
+/// [`crate::stats::Summary::std`]), `mean_error` the standard error of the mean over the trainings of the cell, and empty
+/// for one training.
 ///
 /// Rows and columns stand in the order in which their values first appear at the input, which is that of the matrix.
 pub struct Table;
 
 impl Describe for Table {
     const KIND: &'static str = "table";
-    const REVISION: u32 = 2;
+    const REVISION: u32 = 3;
     const ABOUT: &'static str = "tabulates evaluations by their labels, next to published values";
     const SEEDED: bool = false;
     type Params = TableParams;
@@ -162,6 +165,8 @@ fn cells<'a>(groups: &[Group], reference: Option<&'a Reference>) -> Vec<Cell<'a>
         key: group.key.clone(),
         summary: group.summary,
         published: reference.and_then(|reference| reference.get(&group.key)),
+        trainings: group.evaluations,
+        error: group.error,
         diverged: group.diverged,
     };
     let mut cells: Vec<Cell<'a>> = groups.iter().map(cell).collect();
@@ -178,9 +183,11 @@ fn csv_text(params: &TableParams, cells: &[Cell<'_>]) -> Result<Vec<u8>, Box<dyn
         };
         let (mean, std) = (precise(cell.summary.mean), precise(cell.summary.std));
         let episodes = cell.summary.episodes.to_string();
-        let diverged = cell.diverged.to_string();
+        let (trainings, diverged) = (cell.trainings.to_string(), cell.diverged.to_string());
+        let error = cell.error.map_or_else(String::new, precise);
         let (reference_mean, reference_std) = (published(|row| &row.mean), published(|row| &row.std));
-        let values = [mean.as_str(), &std, &episodes, &diverged, reference_mean, reference_std];
+        let values =
+            [mean.as_str(), &std, &episodes, &trainings, &error, &diverged, reference_mean, reference_std];
         writer.write_record(cell.key.iter().map(String::as_str).chain(values))?;
     }
     Ok(writer.into_inner()?)
@@ -198,7 +205,7 @@ fn page(
     if groups.iter().any(|group| group.evaluations > 1) {
         remarks.push(pooling(samples, &params.keys));
     }
-    remarks.extend(divergence(&params.keys, cells));
+    remarks.extend(divergence(&diverged(&params.keys, cells)));
     if with_reference {
         remarks.push(format!("{}: {}", escape(&params.reference_name), coverage(cells)));
     }
@@ -212,16 +219,13 @@ fn pooling(samples: &[Sample<'_>], keys: &[String]) -> String {
     format!("the episodes of a cell are pooled over {}", axes.collect::<Vec<_>>().join(" and "))
 }
 
-/// Which cells hold agents whose training diverged, where there are any.
-fn divergence(keys: &[String], cells: &[Cell<'_>]) -> Option<String> {
+/// The cells that hold agents whose training diverged.
+fn diverged(keys: &[String], cells: &[Cell<'_>]) -> Vec<String> {
     let name = |cell: &Cell<'_>| {
         let labels = keys.iter().zip(&cell.key).map(|(key, value)| format!("{key}={value}"));
-        escape(&labels.collect::<Vec<_>>().join(", "))
+        labels.collect::<Vec<_>>().join(", ")
     };
-    let marked: Vec<String> = cells.iter().filter(|cell| cell.diverged > 0).map(name).collect();
-    (!marked.is_empty()).then(|| {
-        format!("**training diverged**, and the last finite weights were evaluated: {}", marked.join("; "))
-    })
+    cells.iter().filter(|cell| cell.diverged > 0).map(name).collect()
 }
 
 /// For how many of the cells the reference has a value.

@@ -13,6 +13,8 @@ pub(crate) struct Training {
     /// The values of the labels that tell trainings apart.
     pub(crate) key: Vec<String>,
     pub(crate) episodes: Vec<(u64, f64)>,
+    /// True where it diverged, so that its last finite weights were evaluated.
+    pub(crate) diverged: bool,
 }
 
 /// The evaluations that agree in all labels but those of trainings.
@@ -30,6 +32,24 @@ pub(crate) struct Pair<'c> {
     /// The candidates of each side; more than one where the best is to be chosen.
     pub(crate) left: Vec<&'c Cell>,
     pub(crate) right: Vec<&'c Cell>,
+}
+
+impl Cell {
+    /// How many of its trainings diverged.
+    pub(crate) fn diverged(&self) -> usize {
+        self.trainings.iter().filter(|training| training.diverged).count()
+    }
+}
+
+/// The cells of these pairs with a training that diverged, each once.
+pub(crate) fn diverged<'c>(pairs: &[Pair<'c>]) -> Vec<&'c Cell> {
+    let mut cells: Vec<&Cell> = Vec::new();
+    for cell in pairs.iter().flat_map(|pair| pair.left.iter().chain(&pair.right)) {
+        if cell.diverged() > 0 && !cells.iter().any(|known| known.labels == cell.labels) {
+            cells.push(cell);
+        }
+    }
+    cells
 }
 
 /// Reads the evaluations at the input.
@@ -52,7 +72,8 @@ pub(crate) fn read(params: &FindingsParams, ctx: &Ctx<'_>) -> Result<Vec<Cell>, 
                 StageError::input(PORT, item.path, message)
             })
         });
-        let training = Training { key: key.collect::<Result<_, _>>()?, episodes };
+        let diverged = rows.iter().any(|row| row.diverged_at_step.is_some());
+        let training = Training { key: key.collect::<Result<_, _>>()?, episodes, diverged };
         match cells.iter_mut().find(|cell| cell.labels == labels) {
             Some(cell) => cell.trainings.push(training),
             None => cells.push(Cell { labels, trainings: vec![training] }),

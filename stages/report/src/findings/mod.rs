@@ -16,7 +16,8 @@ pub use test::Verdict;
 /// Inputs: `scores`, any number of evaluations, each with its labels, played on the same tracks; `reference`, if given,
 /// a CSV file with all labels but those of trainings, `mean` and `std` as columns.
 ///
-/// Outputs: `csv` with one row per claim, `pairs` with one row per pair of cells, `markdown` for people.
+/// Outputs: `csv` with one row per claim, `pairs` with one row per pair of cells, `markdown` for people. `diverged` of the
+/// CSV is the number of trainings on either side that diverged.
 ///
 /// The difference of a claim is the mean over its pairs. With several trainings a cell, the unit is the training: the
 /// differences of trainings with equal keys, with t over them. With one, it is the track: the differences on equal
@@ -25,7 +26,7 @@ pub struct Findings;
 
 impl Describe for Findings {
     const KIND: &'static str = "findings";
-    const REVISION: u32 = 1;
+    const REVISION: u32 = 2;
     const ABOUT: &'static str = "tests claims about evaluations as one family, next to published values";
     const SEEDED: bool = false;
     type Params = FindingsParams;

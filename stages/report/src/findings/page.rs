@@ -5,14 +5,15 @@ use std::path::Path;
 
 use dril_stage_api::StageError;
 
-use super::cells::{Cell, Pair};
+use super::cells::{Cell, Pair, diverged};
 use super::params::FindingsParams;
 use super::test::{Differences, Measured, Verdict};
-use crate::caption::Caption;
+use crate::caption::{Caption, divergence};
 use crate::inference::{self, Over};
 use crate::markdown::{self, Column};
 use crate::number::{fixed, precise, rounded};
 use crate::reference::{Reference, Row};
+use crate::samples::describe;
 
 type Written = Result<Vec<u8>, Box<dyn std::error::Error>>;
 
@@ -110,6 +111,7 @@ impl Page<'_> {
             "reference",
             "reference_low",
             "reference_high",
+            "diverged",
         ])?;
         for (n, claim) in self.params.claims.iter().enumerate() {
             let (all, (verdict, p)) = (&self.measured[n].all, self.verdicts[n]);
@@ -134,7 +136,10 @@ impl Page<'_> {
                 &pairs,
                 &positive,
             ];
-            writer.write_record(cells.into_iter().chain(reference.iter().map(String::as_str)))?;
+            let diverged: usize = diverged(&self.pairs[n]).into_iter().map(Cell::diverged).sum();
+            let diverged = diverged.to_string();
+            let after = reference.iter().map(String::as_str).chain([diverged.as_str()]);
+            writer.write_record(cells.into_iter().chain(after))?;
         }
         Ok(writer.into_inner()?)
     }
@@ -166,6 +171,18 @@ impl Page<'_> {
     /// Of how many pairs the difference is above 0.
     fn positive(&self, claim: usize) -> usize {
         self.measured[claim].pairs.iter().filter_map(Differences::mean).filter(|mean| *mean > 0.0).count()
+    }
+
+    /// The cells of all claims with a training that diverged, each once.
+    fn diverged(&self) -> Vec<String> {
+        let mut names: Vec<String> = Vec::new();
+        for cell in self.pairs.iter().flat_map(|pairs| diverged(pairs)) {
+            let name = describe(&cell.labels);
+            if !names.contains(&name) {
+                names.push(name);
+            }
+        }
+        names
     }
 
     /// The page for people.
@@ -216,6 +233,7 @@ impl Page<'_> {
                 inference::FEWEST_TRAININGS
             ));
         }
+        remarks.extend(divergence(&self.diverged()));
         let FindingsParams { title, profile, full_profile, note, .. } = self.params;
         Caption { title, profile, full_profile, note }.page(&[], &markdown::table(&columns), &remarks)
     }

@@ -1,17 +1,17 @@
 //! Two runs of a pipeline compared: what was changed, which results differ, and by how much.
 //!
-//! A is the pipeline as it stands, B the other run. Stages are matched by name and coordinates; results with equal
-//! digests are equal to the bit.
+//! A is the pipeline as it stands, B the other run. Stages are matched by their keys, whatever they are called, and
+//! otherwise by name and coordinates; results with equal digests are equal to the bit.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use dril_stage_api::outcome::{OutputOutcome, PipelineOutcome, StageOutcome, State};
 use dril_stage_api::scores::{self, ScoreRow};
 use dril_stage_api::{Artifact, StageError};
-use maud::{Markup, PreEscaped, html};
+use maud::{Markup, html};
 use serde_json::Value;
 
-use super::figures::{Member, SIDE, figure_of, frame};
+use super::figures::{Member, Missing, SIDE, figure_of, files, frame};
 use super::{Room, Section, count};
 use crate::inference::{FEWEST_EPISODES, half_width, mean};
 use crate::number::fixed;
@@ -31,21 +31,10 @@ pub(crate) fn section(
     theirs: &PipelineOutcome,
     room: &mut Room,
 ) -> Result<Section, StageError> {
-    let others: BTreeMap<&str, &StageOutcome> =
-        theirs.stages.iter().map(|stage| (stage.id.as_str(), stage)).collect();
-    let known: BTreeSet<&str> = ours.stages.iter().map(|stage| stage.id.as_str()).collect();
-    let pairs: Vec<Pair<'_>> = ours
-        .stages
-        .iter()
-        .filter_map(|stage| others.get(stage.id.as_str()).map(|other| (stage, *other)))
-        .collect();
+    let Matched { pairs, only_a, only_b } = matched(&ours.stages, &theirs.stages);
     let done: Vec<Pair<'_>> =
         pairs.iter().copied().filter(|(a, b)| a.state == State::Done && b.state == State::Done).collect();
     let equal = done.iter().filter(|pair| are_equal(pair)).count();
-    let only_a: Vec<&str> =
-        ours.stages.iter().map(|stage| stage.id.as_str()).filter(|id| !others.contains_key(id)).collect();
-    let only_b: Vec<&str> =
-        theirs.stages.iter().map(|stage| stage.id.as_str()).filter(|id| !known.contains(id)).collect();
     let body = html! {
         p {
             "A is this pipeline as it stands (profile " code { (ours.profile) } "), B is "
@@ -59,11 +48,77 @@ pub(crate) fn section(
         (missing("Only in A", &only_a))
         (missing("Only in B", &only_b))
         (missing("Not done in A or B", &undone(&pairs)))
+        (renamed(&pairs))
         (changes(&pairs))
         (score_table(&done)?)
         (curves(&done, room)?)
     };
     Ok(Section { anchor: "compared", title: "Compared with another run", body })
+}
+
+/// The stages of both runs.
+struct Matched<'o> {
+    /// In the order of A.
+    pairs: Vec<Pair<'o>>,
+    only_a: Vec<&'o str>,
+    only_b: Vec<&'o str>,
+}
+
+/// Matches stages by their keys first, then by their names. Several stages may have one key, and thus one result: a stage of
+/// A that has no other counterpart shares that of another one.
+fn matched<'o>(ours: &'o [StageOutcome], theirs: &'o [StageOutcome]) -> Matched<'o> {
+    let mut by_key: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
+    let mut by_id: BTreeMap<&str, usize> = BTreeMap::new();
+    for (at, stage) in theirs.iter().enumerate() {
+        by_id.insert(&stage.id, at);
+        if let Some(key) = &stage.key {
+            by_key.entry(key).or_default().push(at);
+        }
+    }
+    let with_key = |stage: &StageOutcome| {
+        stage.key.as_ref().and_then(|key| by_key.get(key.as_str())).map_or(&[][..], Vec::as_slice)
+    };
+    let mut taken: BTreeSet<usize> = BTreeSet::new();
+    let mut partners: Vec<Option<usize>> = vec![None; ours.len()];
+    for round in 0..4 {
+        for (stage, partner) in ours.iter().zip(&mut partners).filter(|(_, partner)| partner.is_none()) {
+            let (all, same) = (with_key(stage), by_id.get(stage.id.as_str()).copied());
+            *partner = match round {
+                0 => same.filter(|at| all.contains(at)),
+                1 => all.iter().copied().find(|at| !taken.contains(at)),
+                2 => same.filter(|at| !taken.contains(at)),
+                _ => all.first().copied(),
+            };
+            taken.extend(*partner);
+        }
+    }
+    let known: BTreeSet<&str> = ours.iter().filter_map(|stage| stage.key.as_deref()).collect();
+    let is_known = |stage: &StageOutcome| stage.key.as_deref().is_some_and(|key| known.contains(key));
+    let (mut pairs, mut only_a) = (Vec::new(), Vec::new());
+    for (stage, partner) in ours.iter().zip(partners) {
+        match partner {
+            Some(at) => pairs.push((stage, &theirs[at])),
+            None => only_a.push(stage.id.as_str()),
+        }
+    }
+    let only_b = theirs.iter().enumerate().filter(|(at, stage)| !taken.contains(at) && !is_known(stage));
+    Matched { pairs, only_a, only_b: only_b.map(|(_, stage)| stage.id.as_str()).collect() }
+}
+
+/// Stages with equal keys that B calls otherwise.
+fn renamed(pairs: &[Pair<'_>]) -> Markup {
+    let pairs: Vec<&Pair<'_>> = pairs.iter().filter(|(a, b)| a.id != b.id).collect();
+    html! {
+        @if !pairs.is_empty() {
+            details {
+                summary { "Other names in B " span class="quiet" { (count(pairs.len(), "stage")) } }
+                ul { @for (a, b) in pairs.iter().take(MOST_ROWS) {
+                    li { code { (a.id) } " is " code { (b.id) } }
+                } }
+                (more(pairs.len()))
+            }
+        }
+    }
 }
 
 /// True where all outputs that both have are equal.
@@ -283,18 +338,20 @@ fn curves(done: &[Pair<'_>], room: &mut Room) -> Result<Markup, StageError> {
             }
         }
     }
-    let mut bodies = Vec::new();
-    for (name, port, members) in groups {
-        if let Some(svg) = figure_of(name, port, &members)?
-            && room.take(svg.len())
-        {
+    let (mut bodies, mut missing) = (Vec::new(), Missing::default());
+    for (name, port, members) in &groups {
+        let title = format!("{name}.{port}");
+        if let Some(figure) = missing.keep(title.clone(), figure_of(name, port, members)?, room) {
             bodies.push(html! {
-                details open { summary { code { (name) "." (port) } } figure { (frame(&format!("{name}.{port} of both runs"), &PreEscaped(svg))) } }
+                details open {
+                    summary { code { (title) } " " span class="quiet" { (files(members)) } }
+                    figure { (frame(&format!("{title} of both runs"), &figure)) }
+                }
             });
         }
     }
     Ok(html! {
-        @if !bodies.is_empty() { h3 { "Training" } @for body in &bodies { (body) } }
+        @if !groups.is_empty() { h3 { "Training" } @for body in &bodies { (body) } (missing.note()) }
     })
 }
 

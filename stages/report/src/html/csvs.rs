@@ -2,8 +2,10 @@
 
 use maud::{Markup, html};
 
-/// Rows shown, at most; the file has all of them.
-pub(crate) const MOST_ROWS: usize = 100;
+use super::{LARGEST_TABLE, Room};
+
+/// Rows shown, the first number with which the table fits; the file has all of them.
+const ROWS: [usize; 3] = [100, 20, 5];
 
 /// A CSV file in memory.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -40,11 +42,23 @@ impl Csv {
         cells.peek().is_some() && cells.all(|cell| cell.parse::<f64>().is_ok())
     }
 
-    /// The table, cut after [`MOST_ROWS`] rows.
-    pub(crate) fn table(&self, caption: &str) -> Markup {
+    /// The table with as many rows as fit; `None` where none of [`ROWS`] does.
+    pub(crate) fn table(&self, caption: &str, room: &mut Room) -> Option<Markup> {
+        let fits = |rows: &usize| {
+            let cells = self.rows.iter().take(*rows).flatten().chain(&self.headers);
+            // A quick lower bound, so that a file of many megabytes is not written out for nothing.
+            cells.map(|cell| cell.len() + "<td></td>".len()).sum::<usize>() <= LARGEST_TABLE
+        };
+        let shown = ROWS.iter().filter(|rows| fits(rows)).map(|rows| self.first(*rows, caption));
+        let mut shown = shown.filter(|shown| shown.0.len() <= LARGEST_TABLE);
+        shown.find(|shown| room.take(shown.0.len()))
+    }
+
+    /// The table, cut after this many rows.
+    fn first(&self, rows: usize, caption: &str) -> Markup {
         let numeric: Vec<bool> = (0..self.headers.len()).map(|column| self.is_numeric(column)).collect();
         let class = |column: usize| numeric.get(column).copied().unwrap_or(false).then_some("n");
-        let more = self.rows.len().saturating_sub(MOST_ROWS);
+        let more = self.rows.len().saturating_sub(rows);
         html! {
             div class="wide" tabindex="0" role="region" aria-label=(caption) {
                 table {
@@ -55,7 +69,7 @@ impl Csv {
                         }
                     } }
                     tbody {
-                        @for row in self.rows.iter().take(MOST_ROWS) {
+                        @for row in self.rows.iter().take(rows) {
                             tr { @for (n, cell) in row.iter().enumerate() { td class=[class(n)] { (cell) } } }
                         }
                     }

@@ -1,14 +1,14 @@
 //! The figures of the report: those of the pipeline, and default figures of scores and training logs that it does not
 //! draw.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use dril_stage_api::outcome::{OutputOutcome, PipelineOutcome, StageOutcome, State};
 use dril_stage_api::{Artifact, InputItem, Labels, StageError};
 use maud::{Markup, PreEscaped, html};
 
 use super::csvs::Csv;
-use super::{Room, Section, count, is_replay, link, made, read, title_of};
+use super::{Room, Section, count, is_replay, link, made, read, title_of, too_large};
 use crate::figure::{FigureParams, Intervals, Layers, Line, Measure, Points, Scale, Scales, draw};
 
 /// Images that are not our SVG are embedded up to this size, in bytes.
@@ -47,7 +47,8 @@ fn figure(stage: &StageOutcome, output: &OutputOutcome, room: &mut Room) -> Resu
         figure {
             @match image {
                 Some(image) => { (frame(&title, &image)) },
-                None => p { "Too large for this page" @if output.file.is_some() { ": " (link(output)) } "." },
+                None if stage.kind == "figure" || media_type(output).is_some() => { (too_large(output)) },
+                None => p { "A page cannot show this format, ." (output.extension) "." },
             }
             figcaption {
                 @if stage.kind != "figure" && title != stage.id { (title) ". " }
@@ -72,19 +73,24 @@ pub(crate) fn embedded(
     output: &OutputOutcome,
     room: &mut Room,
 ) -> Result<Option<Markup>, StageError> {
-    let kind = match output.extension.as_str() {
-        "svg" => "image/svg+xml",
-        "png" => "image/png",
-        "gif" => "image/gif",
-        "jpg" | "jpeg" => "image/jpeg",
-        "webp" => "image/webp",
-        _ => return Ok(None),
-    };
+    let Some(kind) = media_type(output) else { return Ok(None) };
     if output.bytes > LARGEST_IMAGE || !room.take(output.bytes as usize * 4 / 3) {
         return Ok(None);
     }
     let address = format!("data:{kind};base64,{}", base64(&read(output)?));
     Ok(Some(html! { img src=(address) alt=(title); }))
+}
+
+/// The media type of an image that browsers show.
+fn media_type(output: &OutputOutcome) -> Option<&'static str> {
+    Some(match output.extension.as_str() {
+        "svg" => "image/svg+xml",
+        "png" => "image/png",
+        "gif" => "image/gif",
+        "jpg" | "jpeg" => "image/jpeg",
+        "webp" => "image/webp",
+        _ => return None,
+    })
 }
 
 fn base64(bytes: &[u8]) -> String {
@@ -107,40 +113,76 @@ pub(crate) const SIDE: &str = "side";
 /// An output with its labels, in the order of the matrix.
 pub(crate) type Member<'o> = (Vec<(String, String)>, &'o OutputOutcome);
 
-/// Default figures of scores and training logs that no figure of the pipeline reads.
-pub(crate) fn automatic(outcome: &PipelineOutcome, room: &mut Room) -> Result<Option<Section>, StageError> {
-    let drawn = |name: &str, output: &str| {
-        let figures =
-            outcome.stages.iter().filter(|stage| stage.kind == "figure" && stage.state == State::Done);
-        figures.into_iter().any(|figure| {
-            figure.inputs.iter().any(|input| {
-                input.from == output
-                    && input.stage.and_then(|at| outcome.stages.get(at)).is_some_and(|s| s.name == name)
-            })
-        })
-    };
-    let wanted = [Artifact::SCORES, Artifact::TRAINING_LOG];
-    let all = made(outcome, |stage, output| {
-        wanted.contains(&output.artifact) && !drawn(&stage.name, &output.name) && !is_replay(stage)
-    });
-    let mut groups: Vec<(&str, &str, Vec<Member<'_>>)> = Vec::new();
-    for (stage, output) in all {
-        let member = (stage.labels.clone(), output);
-        match groups.iter_mut().find(|(name, port, _)| *name == stage.name && *port == output.name) {
-            Some((_, _, members)) => members.push(member),
-            None => groups.push((&stage.name, &output.name, vec![member])),
+/// Default figures that are not on the page.
+#[derive(Default)]
+pub(crate) struct Missing {
+    too_large: Vec<String>,
+    impossible: Vec<String>,
+}
+
+impl Missing {
+    /// The figure, if it could be drawn and fits; otherwise its name is kept for [`Self::note`].
+    pub(crate) fn keep(&mut self, name: String, svg: Option<String>, room: &mut Room) -> Option<Markup> {
+        match svg {
+            Some(svg) if room.take(svg.len()) => return Some(PreEscaped(svg)),
+            Some(_) => self.too_large.push(name),
+            None => self.impossible.push(name),
+        }
+        None
+    }
+
+    /// Says what is missing, and why.
+    pub(crate) fn note(&self) -> Markup {
+        let list = |names: &[String]| {
+            html! { @for (n, name) in names.iter().enumerate() { @if n > 0 { ", " } code { (name) } } "." }
+        };
+        html! {
+            @if !self.too_large.is_empty() {
+                p class="quiet" { "These figures are too large for this page: " (list(&self.too_large)) }
+            }
+            @if !self.impossible.is_empty() {
+                p class="quiet" { "No default figure can be drawn of " (list(&self.impossible)) }
+            }
         }
     }
-    let mut bodies = Vec::new();
-    for (name, port, members) in groups {
-        if let Some(svg) = figure_of(name, port, &members)?
-            && room.take(svg.len())
-        {
-            let files = count(members.len(), "file");
+}
+
+/// How many files a default figure draws: `3 files`, or `the first 100 of 120 files`.
+pub(crate) fn files(members: &[Member<'_>]) -> String {
+    let all = count(members.len(), "file");
+    if members.len() > MOST_FILES { format!("the first {MOST_FILES} of {all}") } else { all }
+}
+
+/// Default figures of scores and training logs that no figure of the pipeline reads.
+pub(crate) fn automatic(outcome: &PipelineOutcome, room: &mut Room) -> Result<Option<Section>, StageError> {
+    let figures = outcome.stages.iter().filter(|stage| stage.kind == "figure" && stage.state == State::Done);
+    let drawn: BTreeSet<(usize, &str)> = figures
+        .flat_map(|figure| &figure.inputs)
+        .filter_map(|input| Some((input.stage?, input.from.as_str())))
+        .collect();
+    let wanted = [Artifact::SCORES, Artifact::TRAINING_LOG];
+    let mut groups: Vec<(&str, &str, Vec<Member<'_>>)> = Vec::new();
+    for (at, stage) in outcome.stages.iter().enumerate() {
+        for output in &stage.outputs {
+            let is_shown = drawn.contains(&(at, &output.name)) || is_replay(stage);
+            if stage.state != State::Done || is_shown || !wanted.contains(&output.artifact) {
+                continue;
+            }
+            let member = (stage.labels.clone(), output);
+            match groups.iter_mut().find(|(name, port, _)| *name == stage.name && *port == output.name) {
+                Some((_, _, members)) => members.push(member),
+                None => groups.push((&stage.name, &output.name, vec![member])),
+            }
+        }
+    }
+    let (mut bodies, mut missing) = (Vec::new(), Missing::default());
+    for (name, port, members) in &groups {
+        let title = format!("{name}.{port}");
+        if let Some(figure) = missing.keep(title.clone(), figure_of(name, port, members)?, room) {
             bodies.push(html! {
                 details {
-                    summary { code { (name) "." (port) } " " span class="quiet" { (files) } }
-                    figure { (frame(&format!("{name}.{port}"), &PreEscaped(svg))) }
+                    summary { code { (title) } " " span class="quiet" { (files(members)) } }
+                    figure { (frame(&title, &figure)) }
                 }
             });
         }
@@ -148,8 +190,9 @@ pub(crate) fn automatic(outcome: &PipelineOutcome, room: &mut Room) -> Result<Op
     let body = html! {
         p class="quiet" { "Scores and training logs that no finished figure of the pipeline draws." }
         @for body in &bodies { (body) }
+        (missing.note())
     };
-    Ok((!bodies.is_empty()).then_some(Section { anchor: "curves", title: "Scores and training logs", body }))
+    Ok((!groups.is_empty()).then_some(Section { anchor: "curves", title: "Scores and training logs", body }))
 }
 
 /// The default figure of all files of one output; `None` if there is nothing to draw.

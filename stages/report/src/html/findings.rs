@@ -5,6 +5,7 @@ use dril_stage_api::outcome::PipelineOutcome;
 use maud::{Markup, html};
 
 use super::csvs::Csv;
+use super::grid::DIVERGED;
 use super::{Section, link, made, read, title_of};
 use crate::number::rounded;
 
@@ -54,6 +55,7 @@ fn table(csv: &Csv, caption: &str) -> Markup {
     let all = csv.rows.iter().flat_map(|row| ["low", "high", "difference"].map(|name| number(row, name)));
     let reach = all.flatten().map(f64::abs).fold(1.0, f64::max);
     let has_reference = csv.rows.iter().any(|row| number(row, "reference").is_some());
+    let diverged = |row: &[String]| number(row, "diverged").is_some_and(|count| count > 0.0);
     html! {
         div class="wide" tabindex="0" role="region" aria-label=(caption) {
             table {
@@ -65,7 +67,10 @@ fn table(csv: &Csv, caption: &str) -> Markup {
                     th scope="col" class="n" { "p (Holm)" } th scope="col" class="n" { "positive pairs" }
                 } }
                 tbody { @for row in &csv.rows { tr {
-                    td class="claim" { (csv.cell(row, "claim")) br; small { (csv.cell(row, "is")) } }
+                    td class="claim" {
+                        (csv.cell(row, "claim")) @if diverged(row) { (DIVERGED) }
+                        br; small { (csv.cell(row, "is")) }
+                    }
                     td { span class=(csv.cell(row, "verdict")) { (csv.cell(row, "verdict")) } }
                     td { (bar(reach, number(row, "difference"), number(row, "low"), number(row, "high"))) }
                     @if has_reference {
@@ -74,6 +79,11 @@ fn table(csv: &Csv, caption: &str) -> Markup {
                     td class="n" { (if csv.cell(row, "p") == "0.0000" { "< 0.0001" } else { csv.cell(row, "p") }) }
                     td class="n" { (csv.cell(row, "positive")) " of " (csv.cell(row, "pairs")) }
                 } } }
+            }
+        }
+        @if csv.rows.iter().any(|row| diverged(row)) {
+            p class="quiet" {
+                (DIVERGED) ": on one of the sides training diverged, and the last finite weights were evaluated."
             }
         }
     }

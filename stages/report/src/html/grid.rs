@@ -1,16 +1,20 @@
 //! A table of the kind `table` as a grid: values of this run above the published ones, coloured by their distance in
-//! standard errors.
+//! standard errors: over the trainings of a cell where it has several, else over its episodes.
 
 use dril_stage_api::Labels;
 use maud::{Markup, html};
 use serde_json::Value;
 
+use super::count;
 use super::csvs::Csv;
-use crate::inference::FEWEST_EPISODES;
+use crate::inference::{FEWEST_EPISODES, FEWEST_TRAININGS};
 use crate::number::{fixed, rounded};
 
 /// Assumed number of episodes behind a published value.
 const PUBLISHED_EPISODES: f64 = 100.0;
+
+/// The mark of a result whose training diverged.
+pub(crate) const DIVERGED: &str = "†";
 
 /// One cell.
 #[derive(Clone, Debug, PartialEq)]
@@ -18,6 +22,11 @@ struct Cell {
     mean: f64,
     std: f64,
     episodes: usize,
+    trainings: usize,
+    /// The standard error of the mean over the trainings, where there are several.
+    error: Option<f64>,
+    /// How many of the trainings diverged.
+    diverged: usize,
     /// Mean and standard deviation as published.
     reference: Option<(f64, Option<f64>)>,
 }
@@ -44,19 +53,52 @@ impl Cell {
         let either =
             |what: &str| number(&format!("reference_{what}")).or_else(|| number(&format!("thesis_{what}")));
         let reference = either("mean").map(|mean| (mean, either("std")));
-        let episodes = csv.cell(row, "episodes").parse().ok()?;
-        Some(Self { mean: number("mean")?, std: number("std")?, episodes, reference })
+        let whole = |name: &str| csv.cell(row, name).parse::<usize>().ok();
+        Some(Self {
+            mean: number("mean")?,
+            std: number("std")?,
+            episodes: whole("episodes")?,
+            trainings: whole("trainings")?,
+            error: number("mean_error"),
+            diverged: whole("diverged")?,
+            reference,
+        })
+    }
+
+    fn is_pooled(&self) -> bool {
+        self.trainings > 1
+    }
+
+    /// True where there are too few trainings, or episodes of the only one, for an interval.
+    fn is_few(&self) -> bool {
+        if self.is_pooled() { self.has_few_trainings() } else { self.episodes < FEWEST_EPISODES }
+    }
+
+    fn has_few_trainings(&self) -> bool {
+        self.is_pooled() && self.trainings < FEWEST_TRAININGS
+    }
+
+    /// The variance of the mean. The episodes of one training are not independent of each other where there are several
+    /// trainings, so the trainings are counted; `None` where there are too few.
+    fn variance(&self) -> Option<f64> {
+        if self.has_few_trainings() {
+            return None;
+        }
+        if self.is_pooled() {
+            return self.error.map(|error| error.powi(2));
+        }
+        Some(self.std.powi(2) / self.episodes as f64)
     }
 
     /// Distance from the published value in standard errors of the difference; positive if above.
     fn distance(&self) -> Option<f64> {
         let (mean, std) = self.reference?;
-        let variance = self.std.powi(2) / self.episodes as f64 + std?.powi(2) / PUBLISHED_EPISODES;
+        let variance = self.variance()? + std?.powi(2) / PUBLISHED_EPISODES;
         (variance > 0.0).then(|| (self.mean - mean) / variance.sqrt())
     }
 
     fn class(&self) -> String {
-        let few = if self.episodes < FEWEST_EPISODES { " few" } else { "" };
+        let few = if self.is_few() { " few" } else { "" };
         let step = self.distance().map_or(0, step);
         match step {
             0 => format!("n{few}"),
@@ -74,8 +116,16 @@ impl Cell {
         let far = self
             .distance()
             .map(|distance| format!("{} standard errors from the published value", fixed(distance, 1)));
+        let diverged = (self.diverged > 0).then(|| match self.trainings {
+            1 => "training diverged".to_owned(),
+            all => format!("{} of {all} trainings diverged", self.diverged),
+        });
+        let notes: Vec<String> = far.into_iter().chain(diverged).collect();
+        let title = (!notes.is_empty()).then(|| notes.join("; "));
         html! {
-            span title=[far] { (mark) (score(self.mean, Some(self.std))) }
+            span title=[title] {
+                (mark) (score(self.mean, Some(self.std))) @if self.diverged > 0 { (DIVERGED) }
+            }
             @if let Some((mean, std)) = self.reference {
                 span class="ref" { (score(mean, std)) }
             }
@@ -161,7 +211,6 @@ impl Grid {
     }
 
     pub(crate) fn table(&self, caption: &str) -> Markup {
-        let has_few = self.cells.iter().any(|(_, _, cell)| cell.episodes < FEWEST_EPISODES);
         html! {
             div class="wide" tabindex="0" role="region" aria-label=(caption) {
                 table {
@@ -187,19 +236,45 @@ impl Grid {
                     } } }
                 }
             }
-            (self.explain(has_few))
+            (self.explain())
         }
     }
 
-    fn explain(&self, has_few: bool) -> Markup {
+    /// The smallest and the largest number of trainings of a cell, in words.
+    fn trainings(&self) -> String {
+        let all = || self.cells.iter().map(|(_, _, cell)| cell.trainings);
+        match (all().min().unwrap_or(1), all().max().unwrap_or(1)) {
+            (low, high) if low == high => count(high, "training"),
+            (low, high) => format!("{low} to {}", count(high, "training")),
+        }
+    }
+
+    /// What a coloured cell counts as independent values.
+    fn unit(&self) -> &'static str {
+        let mut coloured = self.cells.iter().filter(|(_, _, cell)| cell.distance().is_some()).peekable();
+        let pooled = coloured.peek().is_some_and(|(_, _, cell)| cell.is_pooled());
+        match (pooled, coloured.all(|(_, _, cell)| cell.is_pooled() == pooled)) {
+            (true, true) => "over trainings",
+            (false, true) => "over episodes",
+            _ => "over trainings, and over episodes where a cell has one training",
+        }
+    }
+
+    fn explain(&self) -> Markup {
         let columns = self.across.join(" · ");
         let has = |test: fn(&Cell) -> bool| self.cells.iter().any(|(_, _, cell)| test(cell));
         let has_reference = has(|cell| cell.reference.is_some());
         let has_distance = has(|cell| cell.distance().is_some());
         let lacks_deviation = has(|cell| matches!(cell.reference, Some((_, None))));
+        let few = [
+            has(|cell| cell.is_few() && !cell.is_pooled()).then(|| format!("{FEWEST_EPISODES} episodes")),
+            has(Cell::has_few_trainings).then(|| format!("{FEWEST_TRAININGS} trainings")),
+        ];
+        let few = few.into_iter().flatten().collect::<Vec<_>>().join(" or ");
         html! {
             p class="quiet legend" {
                 "Mean ± standard deviation over episodes"
+                @if has(Cell::is_pooled) { ", pooled over " (self.trainings()) }
                 @if has_reference { ", with the published value below" }
                 @if !columns.is_empty() { ". Columns: " (columns) }
                 @if has_distance {
@@ -207,11 +282,15 @@ impl Grid {
                     span class="d3" { "▼3" } span class="d2" { "▼2" } span class="d1" { "▼1" }
                     " or more standard errors of the difference below it, or "
                     span class="u1" { "▲1" } span class="u2" { "▲2" } span class="u3" { "▲3" }
-                    " or more above (over episodes; "
-                    (rounded(PUBLISHED_EPISODES)) " per published value)"
+                    " or more above (" (self.unit()) "; "
+                    (rounded(PUBLISHED_EPISODES)) " episodes per published value)"
                 }
                 @if lacks_deviation { ". Values published without a deviation give no colour" }
-                @if has_few { ". " span class="few" { "Hatched" } ": fewer than " (FEWEST_EPISODES) " episodes, no interval" }
+                @if !few.is_empty() { ". " span class="few" { "Hatched" } ": fewer than " (few) ", no interval" }
+                @if has(Cell::has_few_trainings) { "; two trainings have no colour" }
+                @if has(|cell| cell.diverged > 0) {
+                    ". " (DIVERGED) ": training diverged, and the last finite weights were evaluated"
+                }
                 "."
             }
         }
@@ -225,8 +304,9 @@ mod tests {
 
     #[test]
     fn a_table_becomes_a_grid_with_the_published_value_under_each_cell() {
-        let text = "expert,policy,n,mean,std,episodes,reference_mean,reference_std\n\
-                    c,g,1,100.00,10.00,100,90,10\nc,g,20,200.00,10.00,100,,\nc,b,1,50.00,10.00,20,100,10\n";
+        let text = "expert,policy,n,mean,std,episodes,trainings,mean_error,diverged,reference_mean,reference_std\n\
+                    c,g,1,100.00,10.00,100,1,,0,90,10\nc,g,20,200.00,10.00,100,1,,0,,\n\
+                    c,b,1,50.00,10.00,20,1,,0,100,10\n";
         let csv = Csv::parse(text.as_bytes()).unwrap();
         let grid = Grid::of(&json!({ "keys": ["expert", "policy", "n"], "columns": ["n"] }), &csv).unwrap();
         assert_eq!((&grid.down, &grid.across), (&vec!["policy".to_owned()], &vec!["n".to_owned()]));
@@ -237,10 +317,34 @@ mod tests {
     }
 
     #[test]
+    fn the_unit_of_a_pooled_cell_is_the_training_and_two_are_too_few_for_a_colour() {
+        let page = |cell: &str| {
+            let text = format!(
+                "n,mean,std,episodes,trainings,mean_error,diverged,reference_mean,reference_std\n\
+                 1,100.00,50.00,{cell},0,80,10\n"
+            );
+            let csv = Csv::parse(text.as_bytes()).unwrap();
+            Grid::of(&json!({ "keys": ["n"] }), &csv).unwrap().table("T").into_string()
+        };
+        // Over 1,000 episodes the distance were 10 standard errors; over ten trainings it is less than one.
+        let ten = page("1000,10,25.00");
+        assert!(ten.contains("<td class=\"n\">"), "{ten}");
+        assert!(ten.contains("over trainings") && ten.contains("10 trainings"), "{ten}");
+        assert!(page("1000,10,9.00").contains("<td class=\"n u2\">"));
+        let two = page("1000,2,0.10");
+        assert!(two.contains("<td class=\"n few\">") && !two.contains("Colour: "), "{two}");
+        assert!(two.contains("fewer than 3 trainings"), "{two}");
+        let one = page("1000,1,");
+        assert!(one.contains("<td class=\"n u3\">") && !one.contains("trainings"), "{one}");
+    }
+
+    #[test]
     fn colours_are_explained_only_where_there_are_some() {
         let page = |reference: &str| {
-            let text =
-                format!("n,mean,std,episodes,reference_mean,reference_std\n1,100.00,10.00,100,{reference}\n");
+            let text = format!(
+                "n,mean,std,episodes,trainings,mean_error,diverged,reference_mean,reference_std\n\
+                 1,100.00,10.00,100,1,,0,{reference}\n"
+            );
             let csv = Csv::parse(text.as_bytes()).unwrap();
             Grid::of(&json!({ "keys": ["n"] }), &csv).unwrap().table("T").into_string()
         };

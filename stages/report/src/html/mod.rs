@@ -22,8 +22,12 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 /// The first line of every report; a later run overwrites only files that begin with it.
 pub const MARK: &str = "<!-- made by dril-pipe report; a later run writes over it -->\n";
 
-/// Figures and tables are embedded up to this size of the page, in bytes; the rest are links.
-const ROOM: usize = 1_700_000;
+/// Bytes of all sections, at most; what does not fit is a link. With head and style sheet the page stays below 2 MB.
+const ROOM: usize = 1_900_000;
+/// Bytes of the provenance of the stages, at most.
+const PROVENANCE: usize = 450_000;
+/// Tables are shown up to this size in bytes, so that one leaves room for others.
+pub(crate) const LARGEST_TABLE: usize = 400_000;
 
 /// A section of the page: anchor, heading and content.
 pub(crate) struct Section {
@@ -46,6 +50,23 @@ impl Room {
         }
         fits
     }
+
+    /// Reserves the bytes of a section, also those of its texts, for which it need not ask.
+    fn section(
+        &mut self,
+        write: impl FnOnce(&mut Self) -> Result<Option<Section>, StageError>,
+    ) -> Result<Option<Section>, StageError> {
+        let before = self.left;
+        let section = write(self)?;
+        let bytes = section.as_ref().map_or(0, |section| section.body.0.len());
+        self.left = self.left.min(before.saturating_sub(bytes));
+        Ok(section)
+    }
+}
+
+/// The note in the place of what is too large, with a link to the file if there is one.
+pub(crate) fn too_large(output: &OutputOutcome) -> Markup {
+    html! { p { "Too large for this page" @if output.file.is_some() { ": " (link(output)) } "." } }
 }
 
 /// Writes the page. With `other`, the results of another run under its name, it begins with a comparison.
@@ -57,20 +78,25 @@ pub fn page(
     other: Option<(&str, &PipelineOutcome)>,
 ) -> Result<String, StageError> {
     let mut room = Room { left: ROOM };
-    let compared =
-        other.map(|(name, other)| against::section(outcome, name, other, &mut room)).transpose()?;
-    let findings = findings::section(outcome)?;
+    // Sections of texts take their bytes first; tables and figures share the rest.
+    let mut provenance = Room { left: PROVENANCE };
+    let provenance = room.section(|_| Ok(Some(provenance::section(outcome, &mut provenance))))?;
+    let graph = room.section(|_| Ok(Some(graph::section(outcome))))?;
+    let findings = room.section(|_| findings::section(outcome))?;
+    let compared = room.section(|room| {
+        other.map(|(name, other)| against::section(outcome, name, other, room)).transpose()
+    })?;
     let sections: Vec<Section> = [
         compared,
-        tables::so_far(outcome),
-        tables::first(outcome)?,
+        room.section(|room| Ok(tables::so_far(outcome, room)))?,
+        room.section(|room| tables::first(outcome, room))?,
         findings,
-        figures::section(outcome, &mut room)?,
-        replays::section(outcome, &mut room)?,
-        figures::automatic(outcome, &mut room)?,
-        tables::others(outcome, &mut room)?,
-        Some(graph::section(outcome)),
-        Some(provenance::section(outcome)),
+        room.section(|room| figures::section(outcome, room))?,
+        room.section(|room| replays::section(outcome, room))?,
+        room.section(|room| figures::automatic(outcome, room))?,
+        room.section(|room| tables::others(outcome, room))?,
+        graph,
+        provenance,
         Some(provenance::reproduce(outcome)),
     ]
     .into_iter()

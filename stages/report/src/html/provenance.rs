@@ -6,15 +6,19 @@ use dril_stage_api::outcome::{PipelineOutcome, StageOutcome, State};
 use maud::{Markup, html};
 use serde_json::Value;
 
-use super::{Section, count, duration};
+use super::{Room, Section, count, duration};
 
 /// Instances shown per stage, at most.
 const MOST_INSTANCES: usize = 200;
+/// Failed instances whose message is shown, at most.
+const MOST_FAILURES: usize = 20;
 /// Longer values are truncated.
 const LONGEST: usize = 120;
+/// Longer messages of failures are truncated.
+const LONGEST_MESSAGE: usize = 4_000;
 
-/// All stages.
-pub(crate) fn section(outcome: &PipelineOutcome) -> Section {
+/// All stages, as far as they fit; those that failed first.
+pub(crate) fn section(outcome: &PipelineOutcome, room: &mut Room) -> Section {
     let mut groups: Vec<Vec<&StageOutcome>> = Vec::new();
     for stage in &outcome.stages {
         match groups.iter_mut().find(|group| group[0].name == stage.name) {
@@ -22,13 +26,23 @@ pub(crate) fn section(outcome: &PipelineOutcome) -> Section {
             None => groups.push(vec![stage]),
         }
     }
+    let mut shown: Vec<Option<Markup>> = vec![None; groups.len()];
+    for failed in [true, false] {
+        for (group, shown) in groups.iter().zip(&mut shown) {
+            if group.iter().any(|stage| matches!(stage.state, State::Failed(_))) == failed {
+                *shown = Some(stage(group)).filter(|body| room.take(body.0.len()));
+            }
+        }
+    }
+    let more = shown.iter().filter(|shown| shown.is_none()).count();
     let body = html! {
         p class="quiet" {
             "For each stage: the parameters that differ from the defaults of its kind, and for each instance its seed, "
             "how long it took, its key and the digests of its outputs. "
             code { "dril-pipe show FILE STAGE" } " prints all of it in full."
         }
-        @for group in &groups { (stage(group)) }
+        @for body in shown.iter().flatten() { (body) }
+        @if more > 0 { p class="quiet" { "and " (count(more, "more stage")) ", which did not fit into this page." } }
     };
     Section { anchor: "provenance", title: "Provenance", body }
 }
@@ -54,7 +68,12 @@ fn stage(group: &[&StageOutcome]) -> Markup {
                     @if seconds > 0.0 { ", " (duration(seconds)) }
                 }
             }
-            @for (id, message) in &failures { p { code { (id) } ": " } pre tabindex="0" { (message) } }
+            @for (id, message) in failures.iter().take(MOST_FAILURES) {
+                p { code { (id) } ": " } pre tabindex="0" { (cut(message, LONGEST_MESSAGE)) }
+            }
+            @if failures.len() > MOST_FAILURES {
+                p class="quiet" { "and " (count(failures.len() - MOST_FAILURES, "more failure")) "." }
+            }
             (parameters(group))
             (instances(group))
         }
@@ -76,7 +95,7 @@ fn parameters(group: &[&StageOutcome]) -> Markup {
             table class="keys" {
                 caption { "Parameters" }
                 tbody { @for (name, values) in &values {
-                    tr { th scope="row" { (name) } td { code { (cut(&values.join(" | "))) } } }
+                    tr { th scope="row" { (name) } td { code { (cut(&values.join(" | "), LONGEST)) } } }
                 } }
             }
         }
@@ -130,11 +149,11 @@ fn text(value: &Value) -> String {
     }
 }
 
-fn cut(text: &str) -> String {
-    if text.chars().count() <= LONGEST {
+fn cut(text: &str, longest: usize) -> String {
+    if text.chars().count() <= longest {
         return text.to_owned();
     }
-    text.chars().take(LONGEST - 1).chain(['…']).collect()
+    text.chars().take(longest - 1).chain(['…']).collect()
 }
 
 /// The first digits of a key or digest.

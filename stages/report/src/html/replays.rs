@@ -41,15 +41,20 @@ fn replay(stage: &StageOutcome, room: &mut Room) -> Result<Option<Markup>, Stage
     let Some(episode) = Episode::first(&steps, map.as_ref()) else { return Ok(None) };
     let title =
         format!("Seed {}: score {} after {} steps", episode.seed, fixed(episode.score, 1), episode.steps);
-    let line = episode.svg(&title).filter(|svg| room.take(svg.len()));
+    let drawn = episode.svg(&title);
+    let has_line = drawn.is_some();
+    let line = drawn.filter(|svg| room.take(svg.len())).map(PreEscaped);
+    let has_strip = output(stage, "strip").is_some();
     let strip = match output(stage, "strip") {
         Some(strip) => embedded(&format!("Six moments of it. {title}"), strip, room)?,
         None => None,
     };
     Ok(Some(html! {
         figure class="fit" {
-            @if let Some(line) = line { (frame(&title, &PreEscaped(line))) }
-            @if let Some(strip) = strip { (frame(&format!("{title}: six moments"), &strip)) }
+            @if let Some(line) = &line { (frame(&title, line)) }
+            @if let Some(strip) = &strip { (frame(&format!("{title}: six moments"), strip)) }
+            @if has_line && line.is_none() { p class="quiet" { "The driven line is too large for this page." } }
+            @if has_strip && strip.is_none() { p class="quiet" { "The six moments are too large for this page." } }
             figcaption {
                 (title) ". Stage " code { (stage.id) }
                 @for name in ["video", "strip"] {

@@ -5,7 +5,7 @@ use dril_stage_api::{Artifact, InputItem, Labels, StageError};
 use maud::{Markup, html};
 
 use super::csvs::Csv;
-use super::{Room, Section, count, grid, link, made, read, title_of};
+use super::{LARGEST_TABLE, Room, Section, count, grid, link, made, read, title_of, too_large};
 use crate::{reference, samples};
 
 /// Tables shown, at most; the rest are links.
@@ -35,14 +35,14 @@ fn first_of<'o>(
 }
 
 /// The section of the main table.
-pub(crate) fn first(outcome: &PipelineOutcome) -> Result<Option<Section>, StageError> {
+pub(crate) fn first(outcome: &PipelineOutcome, room: &mut Room) -> Result<Option<Section>, StageError> {
     let Some((stage, output, csv)) = first_of(&tables(outcome))? else { return Ok(None) };
-    let body = html! { (table(stage, &csv)) (files(stage, output)) };
+    let body = html! { (table(stage, output, Some(&csv), room)) (files(stage, output)) };
     Ok(Some(Section { anchor: "results", title: "Results", body }))
 }
 
 /// The largest table that waits for evaluations, as far as it is known: what a run of days shows on its way.
-pub(crate) fn so_far(outcome: &PipelineOutcome) -> Option<Section> {
+pub(crate) fn so_far(outcome: &PipelineOutcome, room: &mut Room) -> Option<Section> {
     let waiting = outcome.stages.iter().filter(|stage| stage.kind == "table" && stage.state != State::Done);
     let stage = waiting.max_by_key(|stage| evaluations(stage).count())?;
     let done = |input: &InputOutcome| {
@@ -61,10 +61,11 @@ pub(crate) fn so_far(outcome: &PipelineOutcome) -> Option<Section> {
     // A table that cannot be made must not prevent the report; its stage will fail and say why.
     let csv = Csv::parse(&crate::table::of_some(&stage.params, items, reference).ok()??)?;
     let labels: Vec<&Labels> = evaluations(stage).map(|input| &input.labels).collect();
-    let grid = grid::Grid::with_gaps(&stage.params, &csv, &labels)?;
+    let shown = grid::Grid::with_gaps(&stage.params, &csv, &labels)?.table(&title_of(stage));
+    let shown = Some(shown).filter(|shown| fits(shown, room));
     let body = html! {
         p { strong { (known) " of " (labels.len()) " evaluations are done." } " Cells without one are empty." }
-        (grid.table(&title_of(stage)))
+        @if let Some(shown) = shown { (shown) } @else { p { "The table is too large for this page." } }
         p class="quiet" { "Stage " code { (stage.id) } " runs when all are done." }
     };
     Some(Section { anchor: "so-far", title: "Results so far", body })
@@ -85,11 +86,11 @@ pub(crate) fn others(outcome: &PipelineOutcome, room: &mut Room) -> Result<Optio
     let mut bodies: Vec<Markup> = Vec::new();
     for (stage, output) in rest.iter().take(MOST_TABLES) {
         let csv = Csv::parse(&read(output)?);
-        let shown = csv.map(|csv| table(stage, &csv)).filter(|shown| room.take(shown.0.len()));
+        let shown = table(stage, output, csv.as_ref(), room);
         bodies.push(html! {
             details {
                 summary { (title_of(stage)) @if stage.outputs.len() > 2 { " " span class="quiet" { (output.name) } } }
-                @if let Some(shown) = shown { (shown) } @else { p { "There is nothing to show here." } }
+                (shown)
                 (files(stage, output))
             }
         });
@@ -102,14 +103,17 @@ pub(crate) fn others(outcome: &PipelineOutcome, room: &mut Room) -> Result<Optio
     Ok(Some(Section { anchor: "tables", title: "More tables", body }))
 }
 
-/// As a grid where it is one of the kind `table`, else as it is.
-fn table(stage: &StageOutcome, csv: &Csv) -> Markup {
+/// As a grid where it is one of the kind `table` and fits, else as it is, as far as it fits.
+fn table(stage: &StageOutcome, output: &OutputOutcome, csv: Option<&Csv>, room: &mut Room) -> Markup {
+    let Some(csv) = csv else { return html! { p { "There is nothing to show here." } } };
     let title = title_of(stage);
     let grid = if stage.kind == "table" { grid::Grid::of(&stage.params, csv) } else { None };
-    match grid {
-        Some(grid) => grid.table(&title),
-        None => csv.table(&title),
-    }
+    let grid = grid.map(|grid| grid.table(&title)).filter(|shown| fits(shown, room));
+    grid.or_else(|| csv.table(&title, room)).unwrap_or_else(|| too_large(output))
+}
+
+fn fits(table: &Markup, room: &mut Room) -> bool {
+    table.0.len() <= LARGEST_TABLE && room.take(table.0.len())
 }
 
 fn files(stage: &StageOutcome, output: &OutputOutcome) -> Markup {

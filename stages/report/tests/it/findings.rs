@@ -142,3 +142,25 @@ fn claims_that_no_cells_answer_are_refused_with_what_is_missing() {
     let message = refused(claims, &[&[("method", "b"), ("mode", "s")], &[("method", "b"), ("mode", "d")]]);
     assert!(message.contains("2 cells are on the left") && message.contains("best_of"), "{message}");
 }
+
+#[test]
+fn trainings_that_diverged_are_counted_and_named() {
+    let claims =
+        json!([claim("b beats a", "greater", 0.0, "b", "a"), claim("c beats a", "greater", 0.0, "c", "a")]);
+    let mut bench = Bench::new::<Findings>(&params(claims), 0).unwrap();
+    for (n, (method, diverged_at_step)) in
+        [("a", None), ("b", Some(8192)), ("c", None), ("d", Some(1))].into_iter().enumerate()
+    {
+        let path = fakes::scores(&bench, &n.to_string(), &scores(100.0, n, 40));
+        let mut rows = dril_stage_api::scores::read("scores", &path).unwrap();
+        rows.iter_mut().for_each(|row| row.diverged_at_step = diverged_at_step);
+        dril_stage_api::scores::write(&path, &rows).unwrap();
+        bench = bench.input("scores", &path, &[("method", method)]);
+    }
+    let lines = lines(&bench);
+    assert!(output(&bench, "csv").lines().next().unwrap().ends_with(",diverged"));
+    assert_eq!((lines[0].last().unwrap().as_str(), lines[1].last().unwrap().as_str()), ("1", "0"));
+    let page = output(&bench, "markdown");
+    assert!(page.contains("**training diverged**") && page.contains("method=b"), "{page}");
+    assert!(!page.contains("method=d"), "no claim is about it: {page}");
+}

@@ -1,173 +1,15 @@
 //! The page: what it shows of a pipeline, what it never does, and how large it grows.
-//!
-//! With `DRIL_PIPE_PAGES=FOLDER` the pages are kept there, for `tools/pages/check.mjs` and for eyes.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
 
 use dril_report::html::{MARK, page};
 use dril_report::{Figure, Findings, Table};
-use dril_stage_api::outcome::{InputOutcome, OutputOutcome, PipelineOutcome, StageOutcome, State};
-use dril_stage_api::testing::Bench;
-use dril_stage_api::{Artifact, Stage};
-use serde_json::{Value, json};
+use dril_stage_api::Artifact;
+use dril_stage_api::outcome::{InputOutcome, State};
+use serde_json::json;
 
 use crate::fakes;
-
-/// An outcome whose results lie in a folder of its own.
-struct Lab {
-    folder: tempfile::TempDir,
-    outcome: PipelineOutcome,
-}
-
-impl Lab {
-    fn new(profile: &str) -> Self {
-        let outcome = PipelineOutcome {
-            pipeline: "thesis".into(),
-            profile: profile.into(),
-            first_profile: Some("thesis".into()),
-            command: vec!["pipelines/thesis.yaml".into(), "--profile".into(), profile.into()],
-            tool: "dril-pipe 0.1.0".into(),
-            stages: Vec::new(),
-        };
-        Self { folder: tempfile::tempdir().unwrap(), outcome }
-    }
-
-    /// Adds a stage that is done.
-    fn stage(
-        &mut self,
-        name: &str,
-        kind: &str,
-        labels: &[(&str, &str)],
-        outputs: &[(&str, Artifact, &str, &[u8])],
-    ) -> usize {
-        let at = self.outcome.stages.len();
-        let labels: Vec<(String, String)> =
-            labels.iter().map(|(axis, value)| ((*axis).to_owned(), (*value).to_owned())).collect();
-        let values: Vec<&str> = labels.iter().map(|(_, value)| value.as_str()).collect();
-        let id = if values.is_empty() { name.to_owned() } else { format!("{name}[{}]", values.join(", ")) };
-        let output = |(port, artifact, extension, bytes): &(&str, Artifact, &str, &[u8])| {
-            let path = self.folder.path().join(format!("{at}-{port}"));
-            std::fs::write(&path, bytes).unwrap();
-            let digest = format!("{:064x}", at * 31 + bytes.len());
-            let file = artifact.is_result().then(|| format!("{name}.{extension}"));
-            OutputOutcome {
-                name: (*port).to_owned(),
-                artifact: *artifact,
-                extension: (*extension).to_owned(),
-                digest,
-                bytes: bytes.len() as u64,
-                path,
-                file,
-            }
-        };
-        let stage = StageOutcome {
-            name: name.to_owned(),
-            id,
-            labels,
-            kind: kind.to_owned(),
-            revision: 1,
-            params: json!({}),
-            chosen: BTreeMap::new(),
-            seed: Some(66),
-            state: State::Done,
-            key: Some(format!("{:064x}", at + 1)),
-            inputs: Vec::new(),
-            outputs: outputs.iter().map(output).collect(),
-            seconds: Some(12.5),
-            made_with: [("libtorch".to_owned(), "2.13.0".to_owned())].into(),
-        };
-        self.outcome.stages.push(stage);
-        at
-    }
-
-    /// Runs a stage of this package on outputs of others, and adds it with what it made.
-    fn run<S: Stage>(
-        &mut self,
-        name: &str,
-        kind: &str,
-        params: &Value,
-        port: &str,
-        from: &[(usize, &str)],
-        reference: Option<&Path>,
-    ) {
-        let mut bench = Bench::new::<S>(params, 0).unwrap();
-        let mut inputs = Vec::new();
-        for (stage, output) in from {
-            let source = &self.outcome.stages[*stage];
-            let labels: Vec<(&str, &str)> =
-                source.labels.iter().map(|(axis, value)| (axis.as_str(), value.as_str())).collect();
-            let path = &source.outputs.iter().find(|other| other.name == *output).unwrap().path;
-            bench = bench.input(port, path, &labels);
-            inputs.push(InputOutcome {
-                port: port.to_owned(),
-                stage: Some(*stage),
-                from: (*output).to_owned(),
-                labels: source.labels.iter().cloned().collect(),
-                path: None,
-            });
-        }
-        if let Some(reference) = reference {
-            bench = bench.input("reference", reference, &[]);
-        }
-        bench.run().unwrap();
-        let read = |output: &str| std::fs::read(bench.output(output).unwrap()).unwrap();
-        let at = match kind {
-            "figure" => self.stage(
-                name,
-                kind,
-                &[],
-                &[
-                    ("svg", Artifact::FIGURE, "svg", &read("svg")),
-                    ("csv", Artifact::TABLE, "csv", &read("csv")),
-                ],
-            ),
-            _ => self.stage(name, kind, &[], &[("csv", Artifact::TABLE, "csv", &read("csv"))]),
-        };
-        self.outcome.stages[at].params = bench.job().params.clone();
-        self.outcome.stages[at].chosen = [("title".to_owned(), params["title"].clone())].into();
-        self.outcome.stages[at].inputs = inputs;
-        self.outcome.stages[at].seed = None;
-    }
-
-    fn page(&self, name: &str) -> String {
-        let text = page(&self.outcome, None).unwrap();
-        if let Some(folder) = std::env::var_os("DRIL_PIPE_PAGES") {
-            let folder = PathBuf::from(folder).join(name);
-            std::fs::create_dir_all(&folder).unwrap();
-            std::fs::write(folder.join("report.html"), &text).unwrap();
-            for output in self.outcome.stages.iter().flat_map(|stage| &stage.outputs) {
-                if let Some(file) = &output.file {
-                    std::fs::copy(&output.path, folder.join(file)).unwrap();
-                }
-            }
-        }
-        text
-    }
-}
-
-fn noise(n: usize) -> f64 {
-    let mixed = (n as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 40;
-    f64::from(u32::try_from(mixed).unwrap()) / f64::from(1 << 24) - 0.5
-}
-
-fn scores(mean: f64, std: f64, own: usize, count: usize) -> Vec<u8> {
-    let row = |n: usize| {
-        let score = mean + std * (1.5 * noise(n) + 3.0 * noise(own * 1000 + n));
-        format!("{n},{},{score:.2},1000,time-limit\n", 2_000_000 + n)
-    };
-    let rows: String = (0..count).map(row).collect();
-    format!("episode,track_seed,score,steps,outcome\n{rows}").into_bytes()
-}
-
-fn losses(own: usize) -> Vec<u8> {
-    let row = |n: usize| {
-        let loss = 3.0 / n as f64 + 0.01 + 0.004 * noise(own + n).abs();
-        format!("{n},{loss:.6},{:.6}\n", loss * 1.3)
-    };
-    let rows: String = (1..600).map(row).collect();
-    format!("epoch,train_loss,val_loss\n{rows}").into_bytes()
-}
+use crate::lab::{Lab, losses, noise, scores};
 
 /// Something like the thesis: 48 evaluations around its values, tables, findings, figures.
 fn thesis(profile: &str, episodes: usize) -> Lab {
@@ -444,6 +286,9 @@ fn two_runs_are_compared_by_changes_scores_and_curves() {
                 std::fs::read(&output.path).unwrap().iter().map(|b| u64::from(*b)).sum::<u64>()
             );
         }
+        for stage in &mut lab.outcome.stages {
+            stage.key = Some(format!("{} {mean} {rate}", stage.id));
+        }
         lab
     };
     let (ours, theirs) = (run(200.0, 1e-3, "new"), run(150.0, 1e-4, "old"));
@@ -467,4 +312,72 @@ fn two_runs_are_compared_by_changes_scores_and_curves() {
     assert!(!text.contains("mean over 2 values"), "two runs are not repetitions");
     let same = page(&ours.outcome, Some(("itself", &ours.outcome))).unwrap();
     assert!(same.contains("0 of 2 evaluations differ") && same.contains("are equal."));
+}
+
+#[test]
+fn stages_are_compared_by_their_keys_whatever_they_are_called() {
+    let run = |stages: &[(&str, &str)]| {
+        let mut lab = Lab::new("thesis");
+        for (name, key) in stages {
+            let output = ("scores", Artifact::SCORES, "csv", &*scores(100.0, 50.0, key.len(), 40));
+            let at = lab.stage(name, "evaluate", &[], &[output]);
+            (lab.outcome.stages[at].key, lab.outcome.stages[at].params) =
+                (Some((*key).to_owned()), json!({ "key": key }));
+            lab.outcome.stages[at].outputs[0].digest = (*key).to_owned();
+        }
+        lab
+    };
+    let compared = |ours: &[(&str, &str)], theirs: &[(&str, &str)]| {
+        let text = page(&run(ours).outcome, Some(("other", &run(theirs).outcome))).unwrap();
+        text.split("id=\"compared\"").nth(1).unwrap().split("</section>").next().unwrap().to_owned()
+    };
+    let renamed = compared(&[("first", "k"), ("second", "k")], &[("premier", "k"), ("second", "k")]);
+    assert!(!renamed.contains("Only in"), "{renamed}");
+    assert!(
+        renamed.contains("0 of 2 evaluations differ") && renamed.contains("Other names in B"),
+        "{renamed}"
+    );
+    assert!(renamed.contains("<code>premier</code>"), "{renamed}");
+    // Two stages of A have the key of one in B.
+    let shared = compared(&[("first", "k"), ("second", "k")], &[("second", "k")]);
+    assert!(!shared.contains("Only in") && shared.contains("0 of 2 evaluations differ"), "{shared}");
+    let shared = compared(&[("second", "k")], &[("first", "k"), ("second", "k")]);
+    assert!(!shared.contains("Only in") && !shared.contains("Other names"), "{shared}");
+    // An equal key goes before an equal name, and a name decides where keys differ.
+    let changed = compared(&[("first", "k"), ("second", "k")], &[("first", "k"), ("second", "kk")]);
+    assert!(changed.contains("1 of 2 evaluations differ") && !changed.contains("Only in"), "{changed}");
+    let moved = compared(&[("a", "k"), ("b", "kkk")], &[("a", "kk"), ("c", "k")]);
+    assert!(moved.contains("Only in A") && moved.contains("Only in B"), "{moved}");
+    assert!(moved.contains("0 of 1 evaluation"), "{moved}");
+}
+
+#[test]
+fn a_cell_whose_training_diverged_is_marked() {
+    let mut lab = Lab::new("thesis");
+    let mut evaluations = Vec::new();
+    for (method, diverged) in [("bc", ""), ("dril", "8192")] {
+        let rows: String = (0..40).map(|n| format!("{n},{n},{},100,finished,{diverged}\n", 10 * n)).collect();
+        let text = format!("episode,seed,score,steps,outcome,diverged_at_step\n{rows}");
+        let output = [("scores", Artifact::SCORES, "csv", text.as_bytes())];
+        evaluations.push((lab.stage("evaluate", "evaluate", &[("method", method)], &output), "scores"));
+    }
+    let with = json!({ "title": "T", "profile": "thesis", "keys": ["method"] });
+    lab.run::<Table>("table", "table", &with, "scores", &evaluations, None);
+    let claims =
+        json!([{ "claim": "c", "is": "greater", "left": { "method": "dril" }, "right": { "method": "bc" } }]);
+    let with = json!({ "title": "F", "profile": "thesis", "claims": claims });
+    lab.run::<Findings>("findings", "findings", &with, "scores", &evaluations, None);
+    let text = lab.page("diverged");
+    let section = |anchor: &str| {
+        let rest = text.split(&format!("id=\"{anchor}\"")).nth(1).unwrap();
+        rest.split("</section>").next().unwrap().to_owned()
+    };
+    for anchor in ["results", "findings"] {
+        let section = section(anchor);
+        // One cell or claim, and the sentence that explains the mark.
+        assert_eq!(section.matches('†').count(), 2, "{section}");
+        assert!(section.contains("training diverged"), "{section}");
+    }
+    lab.outcome.stages.truncate(1);
+    assert!(!lab.page("sound").contains('†'));
 }

@@ -50,6 +50,28 @@ fn an_algorithm_that_this_run_lacks_or_the_thesis_lacks_is_listed_all_the_same()
 }
 
 #[test]
+fn an_algorithm_whose_training_diverged_is_marked() {
+    let bench = leaderboard("thesis");
+    let mut inputs = Vec::new();
+    for (name, diverged_at_step) in [("sound", None), ("lost", Some(8192))] {
+        let path = fakes::scores(&bench, name, &[1.0, 3.0]);
+        let mut rows = dril_stage_api::scores::read("scores", &path).unwrap();
+        rows.iter_mut().for_each(|row| row.diverged_at_step = diverged_at_step);
+        dril_stage_api::scores::write(&path, &rows).unwrap();
+        inputs.push((path, name));
+    }
+    let bench = inputs
+        .iter()
+        .fold(bench, |bench, (path, name)| bench.input("scores", path, &[("name", name)]))
+        .input("reference", &reference("table23.csv"), &[]);
+    bench.run().unwrap();
+    let text = output(&bench, "csv");
+    assert!(text.contains("sound,2.00,1.00,2,0,this run,,\nlost,2.00,1.00,2,1,this run,,\n"), "{text}");
+    let page = output(&bench, "markdown");
+    assert!(page.contains("**training diverged**") && page.contains("were evaluated: lost\n"), "{page}");
+}
+
+#[test]
 fn an_evaluation_without_a_name_is_refused_with_how_to_give_one() {
     let bench = leaderboard("thesis");
     let path = fakes::scores(&bench, "one", &[1.0]);

@@ -8,6 +8,8 @@ mod figure;
 mod figure_limits;
 mod findings;
 mod html;
+mod html_limits;
+mod lab;
 mod leaderboard;
 mod select;
 mod table;

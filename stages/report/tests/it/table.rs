@@ -69,7 +69,7 @@ fn without_columns_every_cell_is_a_row_and_without_a_reference_there_is_no_thesi
     }
     bench.run().unwrap();
     insta::assert_snapshot!("long_markdown", output(&bench, "markdown"));
-    assert!(output(&bench, "csv").ends_with("clipped,bc,stochastic,gaussian,20,5.00,0.00,2,0,,\n"));
+    assert!(output(&bench, "csv").ends_with("clipped,bc,stochastic,gaussian,20,5.00,0.00,2,1,,0,,\n"));
 }
 
 #[test]
@@ -88,7 +88,7 @@ fn the_std_is_the_one_of_the_thesis_so_equal_scores_give_equal_numbers() {
         let cells: Vec<&str> = line.split(',').collect();
         assert_eq!(
             (cells[5], cells[6]),
-            (&*format!("{}.00", cells[9]), &*format!("{}.00", cells[10])),
+            (&*format!("{}.00", cells[11]), &*format!("{}.00", cells[12])),
             "{line}"
         );
     }
@@ -137,6 +137,25 @@ fn evaluations_that_differ_outside_the_keys_are_pooled_and_the_table_says_so() {
 }
 
 #[test]
+fn a_pooled_cell_has_the_standard_error_over_its_trainings() {
+    let with = json!({"title": "Pooled", "profile": "full", "keys": ["policy"]});
+    let mut bench = Bench::new::<Table>(&with, 0).unwrap();
+    for (policy, seed, shift) in
+        [("beta", "1", 0.0), ("beta", "2", 10.0), ("beta", "3", 20.0), ("gaussian", "1", 5.0)]
+    {
+        let values: Vec<f64> = (0..100).map(|n| shift + f64::from(n % 2)).collect();
+        let path = fakes::scores(&bench, &format!("{policy}{seed}"), &values);
+        bench = bench.input("scores", &path, &[("policy", policy), ("seed", seed)]);
+    }
+    bench.run().unwrap();
+    let text = output(&bench, "csv");
+    assert!(text.starts_with("policy,mean,std,episodes,trainings,mean_error,diverged,"), "{text}");
+    // Means 0.5, 10.5 and 20.5: their sample deviation is 10, over the root of 3.
+    assert!(text.contains("beta,10.50,8.18,300,3,5.77,0,,\n"), "{text}");
+    assert!(text.contains("gaussian,5.50,0.50,100,1,,0,,\n"), "{text}");
+}
+
+#[test]
 fn a_reference_may_know_more_or_fewer_cells_than_the_run() {
     let with = json!({"title": "T", "profile": "full", "keys": ["policy"], "columns": ["policy"]});
     let mut bench = Bench::new::<Table>(&with, 0).unwrap();
@@ -164,7 +183,7 @@ fn a_cell_of_an_agent_whose_training_diverged_is_marked() {
         bench = bench.input("scores", &path, &[("policy", policy)]);
     }
     bench.run().unwrap();
-    assert!(output(&bench, "csv").contains("beta,1.50,0.50,2,0,,\ngaussian,1.50,0.50,2,1,,\n"));
+    assert!(output(&bench, "csv").contains("beta,1.50,0.50,2,1,,0,,\ngaussian,1.50,0.50,2,1,,1,,\n"));
     let page = output(&bench, "markdown");
     assert!(page.contains("**training diverged**") && page.contains("policy=gaussian"), "{page}");
     assert!(!page.contains("policy=beta"), "{page}");
@@ -178,7 +197,7 @@ fn labels_with_commas_quotes_and_bars_survive_both_formats() {
     let bench = bench.input("scores", &path, &[("lr, decay", "1e-3, \"fast\""), ("policy", "a|b")]);
     bench.run().unwrap();
     assert!(output(&bench, "csv").starts_with("\"lr, decay\",policy,mean"));
-    assert!(output(&bench, "csv").contains("\"1e-3, \"\"fast\"\"\",a|b,1.00,0.00,1,0,,\n"));
+    assert!(output(&bench, "csv").contains("\"1e-3, \"\"fast\"\"\",a|b,1.00,0.00,1,1,,0,,\n"));
     assert!(output(&bench, "markdown").contains("# a\\|b"));
     assert!(output(&bench, "markdown").contains("policy: a\\|b"));
 }
