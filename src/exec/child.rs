@@ -148,15 +148,16 @@ impl ChildRunner {
         guarded.has_group(watched.group)?;
         watched.guarded = Some(guarded);
         let status = watched.watch(on_message)?;
+        // Many programs exit with 0 when they are asked to stop, however much they have done. Where all processes of a job get
+        // the signal, the program may end before this process has passed it on.
+        if watched.asked.is_some() || watched.over.is_some() || launch.stop.load(Ordering::Relaxed) {
+            return watched.unsuccessful(status, || Ok(Exit::Stopped));
+        }
         let finished = (prepared.finish)(status).map_err(|error| Failure::Stage(error.to_string()));
         if status.success() {
             return finished.map(|()| Exit::Done);
         }
-        watched.unsuccessful(status, || match finished {
-            _ if watched.asked.is_some() => Ok(Exit::Stopped),
-            Err(failure) => Err(failure),
-            Ok(()) => exit(status, false, None),
-        })
+        watched.unsuccessful(status, || finished.and_then(|()| exit(status, false, None)))
     }
 }
 

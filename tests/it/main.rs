@@ -47,6 +47,7 @@ mod scenario;
 mod sealed;
 mod size;
 mod slurm;
+mod stops;
 mod survivors;
 #[cfg(feature = "stages")]
 mod thesis;

@@ -34,8 +34,8 @@ pub(super) fn run(params: &CommandParams, ctx: &mut Ctx<'_>) -> Result<(), Stage
         let program = prepared.process.get_program().to_string_lossy();
         StageError::failed(format!("cannot start `{program}`: {error}"))
     })?;
-    let finished = (prepared.finish)(status);
-    if ctx.cancelled() && !status.success() { Err(StageError::Cancelled) } else { finished }
+    // Whatever its exit code is: see `exec::child`.
+    if ctx.cancelled() { Err(StageError::Cancelled) } else { (prepared.finish)(status) }
 }
 
 /// Lays out the inputs of a command and prepares its process.
