@@ -93,7 +93,10 @@ impl Pilots {
         let root = site.store.join(PILOTS);
         let stop_after = prepare::stop_after(&*submitter.scheduler, settings.all.time, &settings.all);
         let idle = settings.pilot_idle.unwrap_or(IDLE).as_secs_f64();
-        let what = format!("{:?} {} {}", settings.all, site.program.display(), env!("CARGO_PKG_VERSION"));
+        // A pilot of another user could not read the variables of a stage.
+        let user = rustix::process::getuid().as_raw();
+        let (program, version) = (site.program.display(), env!("CARGO_PKG_VERSION"));
+        let what = format!("{:?} {program} {version} {user}", settings.all);
         let class = Digest::of(what.as_bytes()).short();
         let queue = Queue::new(&root, &class);
         queue.create()?;

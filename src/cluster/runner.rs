@@ -241,7 +241,10 @@ impl ClusterRunner {
         let time = Wanted::of(launch, settings).time;
         handoff.build = build::of(&self.site.program, launch.kind.worker());
         handoff.stop_after = stop_after(&*self.submitter.scheduler, time, settings);
-        home.keep_environment(&passed(launch, &self.site))?;
+        let variables = passed(launch, &self.site);
+        if !variables.is_empty() {
+            home.keep_environment(&variables)?;
+        }
         Ok(home.write("handoff.json", &handoff)?)
     }
 

@@ -88,9 +88,7 @@ fn status_names_a_stage_that_another_process_runs() {
     let slow = "--set count.mishap=hang --set count.at=1";
     let mut command = sealed.command(&format!("run p.yaml --jobs 1 {slow}"));
     let mut child = command.stdout(std::process::Stdio::null()).spawn().unwrap();
-    crate::sealed::until("a stage runs", || {
-        sealed.run(&format!("status p.yaml {slow}")).stdout.contains("running")
-    });
+    until("a stage runs", || sealed.run(&format!("status p.yaml {slow}")).stdout.contains("running"));
     let runs = parsed(&sealed, "runs --json");
     assert_eq!(runs[0]["state"], "running");
     child.kill().unwrap();
