@@ -36,15 +36,15 @@ pub fn digest_of(source: &Source, done: &Done, files: &BTreeMap<String, OutsideF
     }
 }
 
-/// True for an executable file, where the stage can execute it: this is part of the key. A built-in stage only reads its
-/// inputs.
+/// True for an executable file, where the stage can execute it or, as an import, passes it on: this is part of the key. Any other
+/// built-in stage only reads its inputs.
 pub fn is_executable(
     stage: &StageInstance,
     source: &Source,
     done: &Done,
     files: &BTreeMap<String, OutsideFile>,
 ) -> bool {
-    stage.kind.is_program()
+    (stage.kind.is_program() || stage.ports.outside.is_some())
         && match &source.from {
             Origin::Stage { stage, output } => done[stage.index()]
                 .as_ref()
@@ -89,12 +89,19 @@ pub fn look_up(
     stage: &StageInstance,
     key: &Key,
 ) -> Result<Cached, StoreError> {
-    let outputs = match history.outputs(key) {
+    // Of an import, the record says whether the executable bit is in the key.
+    let bit_matters =
+        |outputs: &Outputs| stage.ports.outside.is_some() && outputs.values().any(|output| output.executable);
+    let outputs = match history.outputs(key).filter(|outputs| !bit_matters(outputs)) {
         Some(outputs) if store.has_record(key)? => Arc::clone(outputs),
         Some(_) => return Ok(Cached::No(None)),
         None => match store.find(key)? {
             Found::Nothing => return Ok(Cached::No(None)),
             Found::Damaged(error) => return Ok(Cached::No(Some(Reason::Damaged { error }))),
+            // An earlier version wrote it: a file that is not executable has this key.
+            Found::Record(record) if bit_matters(&record.outputs) && !reads_executable(&record) => {
+                return Ok(Cached::No(None));
+            }
             Found::Record(record) if key_of_record(&record) == Ok(*key) => Arc::new(record.outputs),
             Found::Record(_) => {
                 let error = "it is the record of another key".to_owned();
@@ -111,6 +118,10 @@ pub fn look_up(
         Some(output) => Cached::No(Some(Reason::Lost { output: output.to_owned() })),
         None => Cached::Yes(outputs),
     })
+}
+
+fn reads_executable(record: &Record) -> bool {
+    record.inputs.iter().flat_map(|input| &input.items).any(|item| item.executable)
 }
 
 /// Looks up the last known key of every stage in parallel. Nearly all stages still have that key, and looking up is mostly

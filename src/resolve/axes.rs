@@ -1,6 +1,6 @@
 //! The axes of matrices, with their values after profile and `--set`.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use super::merge::merge;
@@ -14,9 +14,11 @@ use crate::spec::suggest;
 #[derive(Clone, Debug)]
 pub(super) struct Axis {
     pub name: Arc<str>,
-    pub values: Vec<AxisValue>,
-    /// Values that a profile or `--set` removed.
-    pub gone: Vec<Arc<str>>,
+    values: Vec<AxisValue>,
+    /// The place of each label in `values`: every instance looks some up.
+    places: HashMap<Arc<str>, usize>,
+    /// Values that a profile or `--set` removed, or the stage's own list.
+    gone: HashSet<Arc<str>>,
 }
 
 /// A value on an axis.
@@ -46,9 +48,36 @@ impl Axes {
 }
 
 impl Axis {
+    /// An axis of these values; of those with the same label, the first has the place.
+    fn new(name: Arc<str>, values: Vec<AxisValue>, gone: HashSet<Arc<str>>) -> Self {
+        let mut places = HashMap::with_capacity(values.len());
+        for (place, value) in values.iter().enumerate() {
+            places.entry(value.label.clone()).or_insert(place);
+        }
+        Self { name, values, places, gone }
+    }
+
+    /// The values, in order.
+    pub fn values(&self) -> &[AxisValue] {
+        &self.values
+    }
+
     /// The place of a value in the axis.
     pub fn position(&self, label: &str) -> Option<usize> {
-        self.values.iter().position(|value| &*value.label == label)
+        self.places.get(label).copied()
+    }
+
+    /// True for a value that was removed.
+    pub fn is_gone(&self, label: &str) -> bool {
+        self.gone.contains(label)
+    }
+
+    /// Adds a value, which the axis does not have yet, and returns its place.
+    pub fn push(&mut self, value: AxisValue) -> usize {
+        let place = self.values.len();
+        self.places.insert(value.label.clone(), place);
+        self.values.push(value);
+        place
     }
 
     /// "`gaussian`, `beta`".
@@ -56,7 +85,8 @@ impl Axis {
         suggest::list(&self.values.iter().map(|value| &*value.label).collect::<Vec<_>>())
     }
 
-    fn has_fields(&self) -> bool {
+    /// True where some value has fields: then no value can be added without them.
+    pub fn has_fields(&self) -> bool {
         self.values.iter().any(|value| value.fields.is_some())
     }
 }
@@ -89,8 +119,8 @@ pub(super) fn lay(below: Option<Axis>, name: &Key, node: Node, problems: &mut Pr
         });
         return None;
     }
-    gone.retain(|label| values.iter().all(|value| value.label != *label));
-    let axis = Axis { name: name.text.clone(), values, gone };
+    let mut axis = Axis::new(name.text.clone(), values, gone);
+    axis.gone.retain(|label| !axis.places.contains_key(label));
     distinct(&axis, problems).then_some(axis)
 }
 
@@ -141,6 +171,8 @@ fn with_fields(
     problems: &mut ProblemList,
 ) -> Option<Vec<AxisValue>> {
     let mut values = below.map(|below| below.values).unwrap_or_default();
+    let places: HashMap<Arc<str>, usize> =
+        values.iter().enumerate().map(|(place, value)| (value.label.clone(), place)).collect();
     let mut fine = true;
     for (label, fields) in entries {
         fine &= usable(name, &label.text, label.span, problems).is_some();
@@ -162,7 +194,8 @@ fn with_fields(
                 continue;
             }
         };
-        match values.iter_mut().find(|value| value.label == label.text) {
+        // The keys of one map differ, so only values from below can be there already.
+        match places.get(&label.text).map(|place| &mut values[*place]) {
             Some(value) => {
                 let below = value.fields.take();
                 value.fields = Some(match below {

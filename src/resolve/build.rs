@@ -22,6 +22,7 @@ pub(super) fn graph(
     let wires = connect(context, &stages, filler);
     report_cycles(&stages, &wires, filler);
     report_shared_files(&stages, filler);
+    report_unexpanded(&stages, filler);
     if !filler.problems.is_empty() {
         return None;
     }
@@ -39,6 +40,20 @@ pub(super) fn graph(
         profile: globals.profile.to_string(),
         stages: graph,
     })
+}
+
+/// A safety net: without instances a stage would vanish, and its readers would run on less than the file says.
+fn report_unexpanded(stages: &[Expanded<'_>], filler: &mut Filler<'_>) {
+    if let Some(stage) = stages.iter().find(|stage| stage.grid.is_none())
+        && filler.problems.is_empty()
+    {
+        filler.problems.add(|| {
+            let message =
+                format!("the matrix of stage `{}` was not expanded, for no known reason", stage.name());
+            Problem::new(stage.stage.name.span, message)
+                .hint("this is an error of dril-pipe: please report it")
+        });
+    }
 }
 
 /// The wires of every instance, by its number in the graph.

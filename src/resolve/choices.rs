@@ -33,6 +33,39 @@ struct Sweep {
     axis: MatrixAxis,
 }
 
+/// One `--set`.
+struct Setting {
+    keys: Vec<Key>,
+    layer: Layer,
+    /// The axis that its values become, where it has several for a field of a stage.
+    sweep: Option<MatrixAxis>,
+}
+
+impl Setting {
+    /// True for a sweep whose field a later `--set` gives another value: `value` for `keys`, or with `None`, several. Then its
+    /// axis must go with its values, or instances would be named after values that they do not have.
+    fn is_replaced(&self, keys: &[Key], value: Option<&Node>) -> bool {
+        let differ = || keys.iter().zip(&self.keys).any(|(key, own)| key.text != own.text);
+        if self.sweep.is_none() || differ() {
+            return false;
+        }
+        let mut value = value;
+        for key in self.keys.iter().skip(keys.len()) {
+            // A map is merged, and replaces only the fields that it has.
+            match value {
+                Some(node) if matches!(node.value, Value::Map(_)) && !node.replace => {
+                    match node.get(&key.text) {
+                        Some((_, field)) => value = Some(field),
+                        None => return false,
+                    }
+                }
+                _ => return true,
+            }
+        }
+        true
+    }
+}
+
 /// Stages that need the axis of a sweep because of their inputs, by stage and axis.
 pub(super) type Spread = BTreeSet<(Arc<str>, Arc<str>)>;
 
@@ -47,18 +80,27 @@ impl<'a> Layers<'a> {
     ) -> Self {
         let (profile, chosen) = profile(spec, choices.profile.as_deref(), sources, problems);
         let known = Known::new(&spec.base, &spec.stages);
-        let mut set = Vec::new();
-        let mut sweeps: Vec<Sweep> = Vec::new();
+        let mut settings: Vec<Setting> = Vec::new();
         for argument in &choices.set {
             let source = sources.add(SourceText::argument("--set", argument));
             let Some((keys, values)) = assignment(argument, source, problems) else { continue };
-            let value = match <[Node; 1]>::try_from(values) {
-                Ok([value]) => Some(as_axis(&keys, value)),
-                Err(values) => sweep(spec, &keys, values, &mut sweeps, problems),
+            let values = <[Node; 1]>::try_from(values);
+            let single = values.as_ref().ok().map(|[value]| value);
+            settings.retain(|earlier| !earlier.is_replaced(&keys, single));
+            let found = match values {
+                Ok([value]) => Some((as_axis(&keys, value), None)),
+                Err(values) => several(spec, &keys, values, &settings, problems),
             };
-            if let Some(value) = value {
-                set.push(layer::overrides(nested(keys, value), &known, "`--set`", problems));
+            if let Some((value, sweep)) = found {
+                let layer = layer::overrides(nested(keys.clone(), value), &known, "`--set`", problems);
+                settings.push(Setting { keys, layer, sweep });
             }
+        }
+        let (mut set, mut sweeps): (Vec<Layer>, Vec<Sweep>) = (Vec::new(), Vec::new());
+        for Setting { keys, layer, sweep } in settings {
+            set.push(layer);
+            let stage = keys.first().map(|key| key.text.clone());
+            sweeps.extend(stage.zip(sweep).map(|(stage, axis)| Sweep { stage, axis }));
         }
         let wanted = spread.iter().filter_map(|(stage, axis)| {
             let sweep = sweeps.iter().find(|sweep| sweep.axis.name.text == *axis)?;
@@ -152,19 +194,20 @@ fn nested(keys: Vec<Key>, value: Node) -> Node {
     })
 }
 
-/// The node for several values: for an axis, their list; for a field of a stage, a reference to the axis that they become.
-fn sweep(
+/// The node for several values: for an axis, their list; for a field of a stage, a reference to the axis that they become, with
+/// that axis.
+fn several(
     spec: &Spec,
     keys: &[Key],
     values: Vec<Node>,
-    sweeps: &mut Vec<Sweep>,
+    earlier: &[Setting],
     problems: &mut ProblemList,
-) -> Option<Node> {
+) -> Option<(Node, Option<MatrixAxis>)> {
     let (first, last) = (keys.first()?, keys.last()?);
     let at = values.iter().map(|value| value.span).reduce(|a, b| Span { end: b.end, ..a })?;
     let list = Node::new(Value::List(values), at);
     if &*first.text == "axes" {
-        return Some(list);
+        return Some((list, None));
     }
     let is_stage = spec.stages.iter().any(|stage| stage.name.text == first.text);
     if !is_stage || keys.len() < 2 || !names::is_identifier(&last.text) {
@@ -177,7 +220,7 @@ fn sweep(
     }
     let taken = |name: &str| {
         names::RESERVED_VALUES.contains(&name)
-            || sweeps.iter().any(|sweep| &*sweep.axis.name.text == name)
+            || earlier.iter().filter_map(|set| set.sweep.as_ref()).any(|axis| &*axis.name.text == name)
             || spec.base.params.get(name).is_some()
             || spec.base.axes.get(name).is_some()
             || spec.stages.iter().flat_map(|stage| &stage.matrix).any(|axis| &*axis.name.text == name)
@@ -187,11 +230,8 @@ fn sweep(
     let numbered = (2..).map(|number| format!("{}-{}-{number}", first.text, last.text));
     let name: Arc<str> = candidates.into_iter().chain(numbered).find(|name| !taken(name))?.into();
     let key = Key { text: name.clone(), span: last.span };
-    sweeps.push(Sweep {
-        stage: first.text.clone(),
-        axis: MatrixAxis { name: key, values: Some(list), group: None },
-    });
-    Some(Node::new(Value::Text(format!("${name}").into()), at))
+    let axis = MatrixAxis { name: key, values: Some(list), group: None };
+    Some((Node::new(Value::Text(format!("${name}").into()), at), Some(axis)))
 }
 
 /// A single value of an axis, as in `axes.seed=3`, as the list that it means.

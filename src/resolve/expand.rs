@@ -253,7 +253,8 @@ fn from_environment(kind: &Kind, params: &mut Json, environment: &BTreeMap<Strin
     let variables = kind.environment().and_then(|field| params.get_mut(field)?.as_object_mut());
     for (name, value) in variables.into_iter().flatten().filter(|(_, value)| value.is_null()) {
         if let Some(found) = environment.get(name) {
-            *value = Json::String(found.clone());
+            // What it contains is no template: only the file's own texts are.
+            *value = Json::String(kind.literal(found));
             filled = true;
         }
     }

@@ -91,7 +91,7 @@ pub enum Origin {
         blake3: Option<String>,
         /// Globs that are excluded from a folder.
         exclude: Vec<String>,
-        /// Identifies it: the path, and the exclude globs.
+        /// Identifies it: the path, whether it is a folder, and the exclude globs.
         key: String,
     },
 }

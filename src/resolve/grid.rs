@@ -5,13 +5,14 @@ use std::collections::{BTreeSet, HashMap};
 
 use super::axes::{Axis, AxisValue};
 use super::context::{MAX_INSTANCES, ResolveContext};
-use super::matrix;
+use super::matrix::{self, Matrix};
 use super::scope::{Filler, Scope};
 use super::template::{self, Path};
 use crate::spec::model::Stage;
 use crate::spec::names;
 use crate::spec::node::{Key, Node, Value};
 use crate::spec::problem::Problem;
+use crate::spec::source::Span;
 use crate::spec::suggest;
 
 /// The instances of a stage, numbered.
@@ -34,7 +35,7 @@ type Cell = Box<[u32]>;
 
 impl Grid {
     fn all(axes: Vec<Axis>) -> Self {
-        let count = axes.iter().fold(1, |count: usize, axis| count.saturating_mul(axis.values.len()));
+        let count = axes.iter().fold(1, |count: usize, axis| count.saturating_mul(axis.values().len()));
         Self { axes, cells: Cells::All(count) }
     }
 
@@ -59,7 +60,7 @@ impl Grid {
     /// Axis and value of an instance, in the order of the matrix.
     pub fn coordinates(&self, instance: usize) -> Vec<(&str, &AxisValue)> {
         let positions = self.positions(instance);
-        self.axes.iter().zip(positions).map(|(axis, at)| (&*axis.name, &axis.values[at])).collect()
+        self.axes.iter().zip(positions).map(|(axis, at)| (&*axis.name, &axis.values()[at])).collect()
     }
 
     fn positions(&self, mut instance: usize) -> Vec<usize> {
@@ -67,8 +68,8 @@ impl Grid {
             Cells::All(_) => {
                 let mut positions = vec![0; self.axes.len()];
                 for (position, axis) in positions.iter_mut().zip(&self.axes).rev() {
-                    *position = instance % axis.values.len();
-                    instance /= axis.values.len();
+                    *position = instance % axis.values().len();
+                    instance /= axis.values().len();
                 }
                 positions
             }
@@ -80,7 +81,7 @@ impl Grid {
     pub fn select(&self, allowed: &[Vec<usize>]) -> Vec<usize> {
         match &self.cells {
             Cells::All(_) => self.axes.iter().zip(allowed).fold(vec![0], |before, (axis, positions)| {
-                let next = |before: usize| positions.iter().map(move |at| before * axis.values.len() + at);
+                let next = |before: usize| positions.iter().map(move |at| before * axis.values().len() + at);
                 before.into_iter().flat_map(next).collect()
             }),
             Cells::Listed { list, index } => {
@@ -126,29 +127,17 @@ pub(super) fn grid<'a>(
     context: &ResolveContext<'a>,
     filler: &mut Filler<'_>,
 ) -> Option<Grid> {
-    let matrix = matrix::axes(stage, context, filler)?;
+    let Matrix { mut axes, groups, swept } = matrix::axes(stage, context, filler)?;
     let rules = &stage.rules;
-    let zipped = matrix.groups.iter().any(|group| group.len() > 1);
+    let zipped = groups.iter().any(|group| group.len() > 1);
     if !zipped && rules.include.is_none() && rules.exclude.is_none() && rules.when.is_none() {
-        return Some(Grid::all(matrix.axes));
+        axes.extend(swept);
+        return Some(Grid::all(axes));
     }
-    let size = matrix.groups.iter().fold(1usize, |size, group| {
-        size.saturating_mul(group.first().map_or(1, |axis| matrix.axes[*axis].values.len()))
-    });
-    if size > MAX_INSTANCES {
-        filler.problems.add(|| {
-            let message = format!(
-                "the matrix of stage `{}` has more than {MAX_INSTANCES} combinations",
-                stage.name.text
-            );
-            Problem::new(stage.name.span, message).hint("does it have too many axes?")
-        });
-        return None;
-    }
-    let mut axes = matrix.axes;
-    let lengths: Vec<usize> = matrix.groups.iter().map(|group| axes[group[0]].values.len()).collect();
-    let parts = matrix
-        .groups
+    let lengths: Vec<usize> = groups.iter().map(|group| axes[group[0]].values().len()).collect();
+    let swept_lengths: Vec<usize> = swept.iter().map(|axis| axis.values().len()).collect();
+    fits(lengths.iter().chain(&swept_lengths), stage, filler)?;
+    let parts = groups
         .iter()
         .zip(lengths)
         .map(|(group, length)| (0..length).map(|at| vec![narrow(at); group.len()]).collect());
@@ -169,11 +158,33 @@ pub(super) fn grid<'a>(
         });
         return None;
     }
+    // The rules were written without the axes of a sweep, so those multiply what the rules leave.
+    if !swept.is_empty() {
+        fits([cells.len()].iter().chain(&swept_lengths), stage, filler)?;
+        let ends = product(swept_lengths.into_iter().map(|length| singles(0..length)));
+        let with =
+            |cell: &Cell| ends.iter().map(|end| [cell, end.as_slice()].concat().into()).collect::<Vec<_>>();
+        cells = cells.iter().flat_map(with).collect();
+        axes.extend(swept);
+    }
     let grid = Grid::listed(axes, cells);
     match &rules.when {
         Some(node) => when(node, stage, grid, context, filler),
         None => Some(grid),
     }
+}
+
+/// Reports a matrix with axes of these lengths that has too many combinations.
+fn fits<'l>(lengths: impl Iterator<Item = &'l usize>, stage: &Stage, filler: &mut Filler<'_>) -> Option<()> {
+    if lengths.fold(1usize, |size, length| size.saturating_mul(*length)) <= MAX_INSTANCES {
+        return Some(());
+    }
+    filler.problems.add(|| {
+        let message =
+            format!("the matrix of stage `{}` has more than {MAX_INSTANCES} combinations", stage.name.text);
+        Problem::new(stage.name.span, message).hint("does it have too many axes?")
+    });
+    None
 }
 
 /// The maps of a rule: one, or a list of them.
@@ -254,7 +265,7 @@ fn exclude(
 fn position(axis: &Axis, value: &Node, what: &str, filler: &mut Filler<'_>) -> Option<Option<usize>> {
     let text = value.scalar_text().unwrap_or_default();
     let found = axis.position(&text);
-    if found.is_some() || axis.gone.contains(&text) {
+    if found.is_some() || axis.is_gone(&text) {
         return Some(found);
     }
     filler.problems.add(|| {
@@ -262,7 +273,7 @@ fn position(axis: &Axis, value: &Node, what: &str, filler: &mut Filler<'_>) -> O
             value.span,
             format!("`{what}`: axis `{}` has no value that is {}", axis.name, value.describe()),
         )
-        .hint(suggest::hint(&text, "its values", axis.values.iter().map(|value| &*value.label)))
+        .hint(suggest::hint(&text, "its values", axis.values().iter().map(|value| &*value.label)))
     });
     None
 }
@@ -278,33 +289,28 @@ fn include(
     let node = filler.fill(node, &context.scope(Vec::new(), "`include`"))?;
     let mut fine = true;
     for entries in maps(&node, "include", filler)? {
-        let mut cell: Vec<Option<u32>> = vec![None; axes.len()];
+        // Of each axis: whether it is named, and then its position, if its value was not removed.
+        let mut cell: Vec<Option<Option<u32>>> = vec![None; axes.len()];
         for (key, value) in entries {
             let Some(axis) = axis_of(key, "include", stage, axes, filler) else {
                 fine = false;
                 continue;
             };
-            cell[axis] = added(&mut axes[axis], value, filler).map(narrow);
-            fine &= cell[axis].is_some();
+            let shared = context.axes.0.get(&axes[axis].name).and_then(Option::as_ref);
+            match added(&mut axes[axis], shared, value, filler) {
+                Some(position) => cell[axis] = Some(position.map(narrow)),
+                None => fine = false,
+            }
         }
         let at = entries.first().map_or(node.span, |(key, _)| key.span);
-        let Some(cell) = cell.into_iter().collect::<Option<Vec<u32>>>() else {
+        let Some(cell) = cell.into_iter().collect::<Option<Vec<Option<u32>>>>() else {
             if fine {
-                filler.problems.add(|| {
-                    let names: Vec<&str> = axes.iter().map(|axis| &*axis.name).collect();
-                    Problem::new(
-                        at,
-                        format!(
-                            "a combination in `include` is missing an axis of stage `{}`",
-                            stage.name.text
-                        ),
-                    )
-                    .hint(format!("give a value for each of {}", suggest::list(&names)))
-                });
+                filler.problems.add(|| incomplete(at, stage, axes));
             }
             fine = false;
             continue;
         };
+        let Some(cell) = cell.into_iter().collect::<Option<Vec<u32>>>() else { continue };
         let cell = cell.into_boxed_slice();
         if cells.contains(&cell) {
             fine = false;
@@ -322,8 +328,20 @@ fn include(
     fine.then_some(())
 }
 
-/// The position of a value in `include`; a new one is added to the stage's own axis.
-fn added(axis: &mut Axis, value: &Node, filler: &mut Filler<'_>) -> Option<usize> {
+fn incomplete(at: Span, stage: &Stage, axes: &[Axis]) -> Problem {
+    let names: Vec<&str> = axes.iter().map(|axis| &*axis.name).collect();
+    let message = format!("a combination in `include` is missing an axis of stage `{}`", stage.name.text);
+    Problem::new(at, message).hint(format!("give a value for each of {}", suggest::list(&names)))
+}
+
+/// The position of a value in `include`: inner `None` for one that a profile or `--set` removed. One that the stage's own axis
+/// lacks is added to it: a new one, or one of the axis `shared` of that name, which the stage's own list leaves out.
+fn added(
+    axis: &mut Axis,
+    shared: Option<&Axis>,
+    value: &Node,
+    filler: &mut Filler<'_>,
+) -> Option<Option<usize>> {
     let Some(label) = value.scalar_text() else {
         filler.problems.add(|| {
             Problem::new(
@@ -334,13 +352,22 @@ fn added(axis: &mut Axis, value: &Node, filler: &mut Filler<'_>) -> Option<usize
         return None;
     };
     if let Some(at) = axis.position(&label) {
-        return Some(at);
+        return Some(Some(at));
     }
-    if axis.values.iter().any(|value| value.fields.is_some()) || !names::is_label(&label) {
-        return position(axis, value, "include", filler).flatten();
+    if shared.is_some_and(|shared| shared.is_gone(&label)) {
+        return Some(None);
     }
-    axis.values.push(AxisValue { label, span: value.span, value: value.clone(), fields: None });
-    Some(axis.values.len() - 1)
+    if axis.has_fields() {
+        let known = shared.and_then(|shared| Some(shared.values()[shared.position(&label)?].clone()));
+        return match known {
+            Some(known) => Some(Some(axis.push(known))),
+            None => position(axis, value, "include", filler),
+        };
+    }
+    if !names::is_label(&label) {
+        return position(axis, value, "include", filler);
+    }
+    Some(Some(axis.push(AxisValue { label, span: value.span, value: value.clone(), fields: None })))
 }
 
 /// The instances for which one of the maps matches; there may be none.
@@ -409,6 +436,17 @@ fn condition(key: &Key, expected: &Node, scope: &Scope<'_>, filler: &mut Filler<
         Some((_, node)) => (node, true),
         None => (&expected, false),
     };
+    if let Value::Map(entries) = &expected.value
+        && let Some((other, _)) = entries.iter().find(|(key, _)| negated && &*key.text != "not")
+    {
+        filler.problems.add(|| {
+            let other_name = crate::spec::node::shorten(&other.text);
+            let message = format!("`when`: found `{other_name}` beside `not`, expected `not` alone");
+            Problem::new(other.span, message)
+                .hint(format!("write `{name}: {{ not: value }}` or `{name}: {{ not: [one, other] }}`"))
+        });
+        return None;
+    }
     let texts: Option<Vec<_>> = one_or_more(wanted).iter().map(Node::scalar_text).collect();
     let Some(texts) = texts else {
         filler.problems.add(|| {

@@ -11,18 +11,24 @@ use crate::spec::suggest;
 /// The axes of a matrix.
 #[derive(Debug)]
 pub(super) struct Matrix {
+    /// Those in the file.
     pub axes: Vec<Axis>,
     /// Groups of axis numbers: the axes of a `zip` together, every other axis alone. In order.
     pub groups: Vec<Vec<usize>>,
+    /// The axes that a sweep adds.
+    pub swept: Vec<Axis>,
 }
 
 /// The axes of a stage; `None` where one of them is broken, which was reported.
 pub(super) fn axes(stage: &Stage, context: &ResolveContext<'_>, filler: &mut Filler<'_>) -> Option<Matrix> {
+    let written = &stage.matrix;
     let swept = context.layers.sweeps(&stage.name.text);
-    let written: Vec<&MatrixAxis> = stage.matrix.iter().chain(swept).collect();
-    let found: Vec<Option<Axis>> =
-        written.iter().map(|axis| matrix_axis(axis, stage, context, filler)).collect();
+    // All of them, so that all problems are found.
+    let mut found: Vec<Option<Axis>> =
+        written.iter().chain(swept).map(|axis| matrix_axis(axis, stage, context, filler)).collect();
+    let swept: Option<Vec<Axis>> = found.split_off(written.len()).into_iter().collect();
     let axes: Vec<Axis> = found.into_iter().collect::<Option<_>>()?;
+    let swept = swept?;
     let mut groups: Vec<Vec<usize>> = Vec::new();
     for (number, axis) in written.iter().enumerate() {
         match groups.last_mut().filter(|group| axis.group.is_some() && written[group[0]].group == axis.group)
@@ -33,10 +39,10 @@ pub(super) fn axes(stage: &Stage, context: &ResolveContext<'_>, filler: &mut Fil
     }
     let mut fine = true;
     for group in &groups {
-        let length = |number: usize| axes[number].values.len();
+        let length = |number: usize| axes[number].values().len();
         let Some(&other) = group.iter().find(|number| length(**number) != length(group[0])) else { continue };
         fine = false;
-        let (first, other_axis) = (written[group[0]], written[other]);
+        let (first, other_axis) = (&written[group[0]], &written[other]);
         filler.problems.add(|| {
             let message = format!(
                 "the zipped axes `{}` and `{}` of stage `{}` have {} and {} values",
@@ -52,7 +58,7 @@ pub(super) fn axes(stage: &Stage, context: &ResolveContext<'_>, filler: &mut Fil
                 .hint("`zip` combines the first values, then the second values, and so on")
         });
     }
-    fine.then_some(Matrix { axes, groups })
+    fine.then_some(Matrix { axes, groups, swept })
 }
 
 fn matrix_axis(

@@ -101,7 +101,7 @@ fn positions(
     consumer: &Consumer<'_>,
     at: Span,
 ) -> Result<Option<Vec<usize>>, Problem> {
-    let everything = || Some((0..axis.values.len()).collect());
+    let everything = || Some((0..axis.values().len()).collect());
     if let Some(selector) = chosen.iter().find(|selector| selector.axis.text == &*axis.name) {
         let Some(labels) = &selector.labels else { return Ok(everything()) };
         let found: Result<BTreeSet<usize>, Problem> = labels
@@ -126,7 +126,7 @@ fn positions(
 fn no_value(axis: &Axis, producer: &Expanded<'_>, label: &str, at: Span) -> Problem {
     let label = crate::spec::node::shorten(label);
     Problem::new(at, format!("stage `{}` has no instance with `{}={label}`", producer.name(), axis.name))
-        .hint(suggest::hint(&label, "its values", axis.values.iter().map(|value| &*value.label)))
+        .hint(suggest::hint(&label, "its values", axis.values().iter().map(|value| &*value.label)))
 }
 
 fn unaddressed(
@@ -138,7 +138,7 @@ fn unaddressed(
 ) -> Problem {
     let names: Vec<String> = open.iter().map(|axis| format!("`{}`", axis.name)).collect();
     let example: Vec<String> =
-        open.iter().map(|axis| format!("{}={}", axis.name, axis.values[0].label)).collect();
+        open.iter().map(|axis| format!("{}={}", axis.name, axis.values()[0].label)).collect();
     let message = format!(
         "input `{}` of stage `{}` takes one artifact, but nothing selects the {} of stage `{}`",
         consumer.input.name,

@@ -62,6 +62,12 @@ impl Selection {
     /// A pattern matches no stage, or no stage is selected.
     pub fn of(&self, graph: Graph) -> Result<Selected, NoStage> {
         let count = graph.stages.node_count();
+        if count == 0 {
+            return Err(NoStage {
+                message: format!("no stage exists under profile `{}`: every `when` is false", graph.profile),
+                hint: "choose another profile, or change the `when` of a stage".to_owned(),
+            });
+        }
         let mut goals = vec![self.targets.is_empty(); count];
         mark(&graph, &self.targets, &mut goals)?;
         if !self.from.is_empty() {

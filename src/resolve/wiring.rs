@@ -114,17 +114,14 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
             });
         }
         let Some(input) = instance.ports.inputs.first() else { return Wires::new() };
+        let folder = input.artifact == Artifact::FOLDER;
         let from = Origin::File {
             path: outside.path.clone(),
             place: self.filler.sources.get(at).place(at),
-            folder: input.artifact == Artifact::FOLDER,
+            folder,
             blake3: outside.blake3.clone(),
             exclude: outside.exclude.clone(),
-            key: std::iter::once(&outside.path)
-                .chain(&outside.exclude)
-                .map(String::as_str)
-                .collect::<Vec<_>>()
-                .join("\0"),
+            key: file_key(&outside.path, folder, &outside.exclude),
         };
         let sources = vec![Source { from, labels: Labels::new() }];
         vec![(Wire { port: input.name, many: false, sources }, at)]
@@ -217,7 +214,7 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
                         folder: false,
                         blake3: None,
                         exclude: Vec::new(),
-                        key: path.clone(),
+                        key: file_key(path, false, &[]),
                     };
                     connection.found.push(Source { from, labels });
                 }
@@ -445,6 +442,14 @@ fn file_hint(text: &str) -> Option<String> {
     looks.then(|| {
         format!("a file from outside is written as `{{ file: {} }}`", crate::spec::node::shorten(text))
     })
+}
+
+/// Identifies a file or folder from outside; no path contains a zero byte. A file and a folder at one path differ, so that each is
+/// checked for what it is.
+fn file_key(path: &str, folder: bool, exclude: &[String]) -> String {
+    let mark = folder.then_some("/");
+    let parts = std::iter::once(path).chain(mark).chain(exclude.iter().map(String::as_str));
+    parts.collect::<Vec<_>>().join("\0")
 }
 
 fn name_label(item: &Item, connection: &Connection<'_>) -> Labels {

@@ -68,9 +68,11 @@ pub(super) fn spec(
     mut problems: ProblemList,
 ) -> Spec {
     let mut pipeline = String::new();
+    let mut at = Span::new(0, 0..0);
     let count = files.len();
     let (mut layers, mut all, mut profiles) = (Vec::new(), Vec::new(), Vec::new());
     for (number, file) in files.into_iter().enumerate() {
+        at = file.at;
         if number + 1 == count {
             pipeline = pipeline_name(file.name, file.at, &mut problems);
         }
@@ -82,6 +84,12 @@ pub(super) fn spec(
         for stage in file.stages {
             add_stage(stage, &mut all, &before, &mut problems);
         }
+    }
+    if all.is_empty() && problems.is_empty() {
+        problems.add(|| {
+            Problem::new(at, "the pipeline has no stages, and neither have the files that it includes")
+                .hint("a stage is written as `stages: { my-stage: { kind: ... } }`; `dril-pipe kinds` lists the kinds")
+        });
     }
     let names = |of: fn(&Layer) -> &Entries| {
         let mut seen = HashSet::new();

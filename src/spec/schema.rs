@@ -33,8 +33,7 @@ pub fn schema(registry: &Registry) -> Value {
         "type": "object",
         "properties": top.collect::<Map<_, _>>(),
         "additionalProperties": false,
-        // A file that is included, or that includes others, may lack any of them.
-        "anyOf": [{ "required": ["name", "stages"] }, { "required": ["include"] }, { "not": { "required": ["name"] } }],
+        // Nothing is required: a file that is included may lack any of them.
         "$defs": defs,
     })
 }
@@ -71,7 +70,7 @@ fn top_field(name: &str, registry: &Registry) -> Value {
                     "seed": seed("the pipeline's seed"), "params": anything, "axes": anything,
                     "defaults": defaults(registry),
                 },
-                "additionalProperties": { "type": ["object", "null"] },
+                "additionalProperties": { "anyOf": [reference(), { "type": ["object", "null"] }] },
             },
         }),
         _ => json!(true),
@@ -82,7 +81,7 @@ fn defaults(registry: &Registry) -> Value {
     let of = |kind: &Kind| {
         let fields = json!({
             "type": ["object", "null"], "additionalProperties": false,
-            "properties": { "with": { "$ref": format!("{HERE}{}", kind.name()) }, "inputs": inputs() },
+            "properties": { "with": with(kind), "inputs": inputs() },
         });
         (kind.name().to_owned(), fields)
     };
@@ -92,17 +91,22 @@ fn defaults(registry: &Registry) -> Value {
 
 fn stage(registry: &Registry) -> Value {
     let fields = STAGE.iter().map(|name| ((*name).to_owned(), stage_field(name, registry)));
-    let with = |kind: &Kind| {
+    let of_kind = |kind: &Kind| {
         json!({
             "if": { "properties": { "kind": { "const": kind.name() } }, "required": ["kind"] },
-            "then": { "properties": { "with": { "$ref": format!("{HERE}{}", kind.name()) } } },
+            "then": { "properties": { "with": with(kind) } },
         })
     };
     json!({
         "type": "object", "required": ["kind"], "additionalProperties": false,
         "properties": fields.collect::<Map<_, _>>(),
-        "allOf": registry.iter().map(with).collect::<Vec<_>>(),
+        "allOf": registry.iter().map(of_kind).collect::<Vec<_>>(),
     })
+}
+
+/// The parameters of a kind, as the whole value of `with`.
+fn with(kind: &Kind) -> Value {
+    json!({ "anyOf": [reference(), { "type": "null" }, { "$ref": format!("{HERE}{}", kind.name()) }] })
 }
 
 fn stage_field(name: &str, registry: &Registry) -> Value {

@@ -124,6 +124,21 @@ fn the_manual_names_every_option_event_and_exit_code() {
     for event in events.into_iter().filter(|event| event.chars().all(|c| c.is_ascii_lowercase())) {
         assert!(manual.contains(&format!("| `{event}` |")), "event {event}");
     }
+    let source = std::fs::read_to_string(root.join("src/plan/mod.rs")).unwrap();
+    let (_, reasons) = source.split_once("pub enum Reason {").unwrap();
+    let (reasons, _) = reasons.split_once("\n}").unwrap();
+    let reasons: Vec<String> = reasons
+        .lines()
+        .filter_map(|line| line.strip_prefix("    "))
+        .filter(|line| line.starts_with(|c: char| c.is_ascii_uppercase()))
+        .map(|line| line.trim_end_matches([',', '{', ' ']).to_ascii_lowercase())
+        .collect();
+    assert!(reasons.len() > 8);
+    let (_, manual_of_reasons) = manual.split_once("A reason has the field `because`").unwrap();
+    let manual_of_reasons = manual_of_reasons.lines().next().unwrap();
+    for reason in reasons {
+        assert!(manual_of_reasons.contains(&format!("`{reason}`")), "reason {reason}");
+    }
     let codes = sealed.run_ok("--help");
     let (_, codes) = codes.split_once("Exit codes:").unwrap();
     for code in codes.lines().filter_map(|line| line.split_whitespace().next()?.parse::<u8>().ok()) {

@@ -124,6 +124,47 @@ fn it_sees_the_variables_that_are_named_and_they_enter_its_key() {
     assert!(ended(plan).stdout.contains("env.A: "));
 }
 
+#[test]
+fn a_value_from_the_environment_is_no_template() {
+    let with =
+        "{ shell: \"printf '%s' \\\"$$A\\\" > v\", outputs: { v: { type: table, path: v } }, env: [A] }";
+    let sealed = one(with);
+    for value in [
+        "{outputs.v}",
+        "{seed}",
+        "{inputs.x}",
+        "{input.x} {speed}",
+        "{checkpoints}{seed}",
+        "{{seed}}",
+        "{{{seed}",
+        "${seed}",
+        "$x {\"a\": {}}",
+    ] {
+        let mut command = sealed.command("run p.yaml --json");
+        let events = lines(
+            &ended({
+                command.env("PATH", "/usr/bin:/bin").env("A", value);
+                command
+            })
+            .stdout,
+        );
+        assert_eq!(of(&events, "ran").len(), 1, "{value}: {events:?}");
+        assert_eq!(sealed.read("results/p-default/c.csv"), value);
+    }
+}
+
+#[test]
+fn braces_that_belong_to_a_shell_or_another_program_stay_as_they_are() {
+    let script = "for seed in 1 2; do echo \\\"$${seed} {speed} {{input.x}} {{seed}}\\\"; done > v";
+    let sealed = one(&format!("{{ shell: \"{script}\", outputs: {{ v: {{ type: table, path: v }} }} }}"));
+    sealed.run_ok("run p.yaml --set seed=7");
+    assert_eq!(
+        sealed.read("results/p-default/c.csv"),
+        "1 {speed} {input.x} {seed}\n2 {speed} {input.x} {seed}\n"
+    );
+    assert!(sealed.run_ok("plan p.yaml --set seed=8").contains("nothing to run"), "it has no seed");
+}
+
 const FOLDERS: &str = "\
 name: folders
 stages:

@@ -58,8 +58,43 @@ fn the_schema_fits_the_examples() {
     }
 }
 
+/// Valid files in notations that a schema could take for mistakes.
+const VALID: [&str; 4] = [
+    "name: a\nparams: { all: { steps: 5 } }\nstages: { t: { kind: train, with: $all } }\n",
+    "name: a\nparams: { all: { steps: 5 } }\ndefaults: { train: { with: $all } }\nstages: { t: { kind: train } }\n",
+    "name: a\nparams: { all: { steps: 5 } }\nstages: { t: { kind: train, with: ~ } }\nprofiles: { p: { t: $all } }\n",
+    "name: a\ninclude: [{ file }]\nstages: { t: { kind: train, with: { steps: $n } } }\n",
+];
+
+/// A file that may be included.
+const INCLUDED: &str = "name: only-params\nparams: { n: 5 }\n";
+
+#[test]
+fn the_schema_accepts_whatever_resolves() {
+    let schema = schema("samples");
+    let sealed = Sealed::new();
+    sealed.write("included.yaml", INCLUDED);
+    for text in VALID
+        .map(|text| text.replace("{ file }", "included.yaml"))
+        .iter()
+        .map(String::as_str)
+        .chain([INCLUDED])
+    {
+        if text != INCLUDED {
+            sealed.write("p.yaml", text);
+            let mut command = sealed.command("graph p.yaml");
+            command.env("DRIL_FAKES_KINDS", "samples");
+            let resolved = ended(command);
+            assert_eq!(resolved.code, 0, "{text}{}", resolved.stderr);
+        }
+        let value: Value = serde_saphyr::from_str(text).unwrap();
+        let errors: Vec<String> = schema.iter_errors(&value).map(|error| error.to_string()).collect();
+        assert!(errors.is_empty(), "{text}{errors:?}");
+    }
+}
+
 /// What is wrong by its shape alone. The rest of `tests/bad` needs the whole file: names, wiring, ranges.
-const WRONG_BY_SHAPE: [&str; 23] = [
+const WRONG_BY_SHAPE: [&str; 22] = [
     "a_list",
     "a_text",
     "bad_name",
@@ -74,7 +109,6 @@ const WRONG_BY_SHAPE: [&str; 23] = [
     "misspelt_top_key",
     "misspelt_value",
     "no_kind",
-    "no_stages",
     "reserved_stage_name",
     "several_at_once",
     "stage_as_text",

@@ -70,6 +70,71 @@ fn a_folder_in_place_of_a_file_and_the_reverse_are_reported_with_their_line() {
     assert!(said.code == 3 && said.stderr.contains("raw"), "{said:?}");
 }
 
+/// Makes a file executable, or not.
+fn chmod(sealed: &Sealed, name: &str, mode: u32) {
+    use std::os::unix::fs::PermissionsExt;
+    std::fs::set_permissions(sealed.path(name), std::fs::Permissions::from_mode(mode)).unwrap();
+}
+
+const PROGRAM: &str = "\
+name: p
+stages:
+  tool: { kind: import, with: { path: tool.sh } }
+  use:
+    kind: command
+    with: { shell: \"if test -x {inputs.t}; then echo yes; else echo no; fi > o\", outputs: { o: { type: table, path: o } } }
+    inputs: { t: tool }
+";
+
+#[test]
+fn the_executable_bit_of_an_imported_file_reaches_what_reads_it() {
+    let sealed = Sealed::with(PROGRAM);
+    sealed.write("tool.sh", "#!/bin/sh\n");
+    sealed.run_ok("run p.yaml");
+    assert_eq!(sealed.read("results/p-default/use.csv"), "no\n");
+    chmod(&sealed, "tool.sh", 0o755);
+    let planned = sealed.run_ok("plan p.yaml");
+    assert!(planned.contains("tool") && planned.contains("may be executed now"), "{planned}");
+    assert!(sealed.run_ok("run p.yaml").contains("2 ran"));
+    assert_eq!(sealed.read("results/p-default/use.csv"), "yes\n");
+    chmod(&sealed, "tool.sh", 0o644);
+    assert!(sealed.run_ok("run p.yaml").contains("all 2 cached"));
+    assert_eq!(sealed.read("results/p-default/use.csv"), "no\n");
+}
+
+#[test]
+fn a_record_of_an_import_without_the_executable_bit_in_its_key_is_not_used() {
+    let sealed = Sealed::with(PROGRAM);
+    sealed.write("tool.sh", "#!/bin/sh\n");
+    sealed.run_ok("run p.yaml tool");
+    // As earlier versions wrote it where the file was executable: under the key of a file that is not.
+    let records = crate::lab::files_below(&sealed.path("cache/records-v1"));
+    let [record] = records.as_slice() else { panic!("{records:?}") };
+    let path = format!("cache/records-v1/{record}");
+    let mut json: serde_json::Value = serde_json::from_str(&sealed.read(&path)).unwrap();
+    json["outputs"]["content"]["executable"] = true.into();
+    sealed.write(&path, &json.to_string());
+    for folder in ["history-v1", "settled-v1"] {
+        let _ = std::fs::remove_dir_all(sealed.path(&format!("cache/{folder}")));
+    }
+    sealed.run_ok("run p.yaml");
+    assert_eq!(sealed.read("results/p-default/use.csv"), "no\n");
+    assert!(sealed.run_ok("run p.yaml").contains("all 2 cached"), "the record is replaced");
+}
+
+#[test]
+fn a_folder_named_as_a_file_is_reported_also_beside_its_import() {
+    let sealed = Sealed::with(
+        "name: p\nstages:\n  data: { kind: import, with: { path: raw/, exclude: [] } }\n  \
+         a: { kind: concat, inputs: { parts: { file: raw } } }\n",
+    );
+    sealed.write("raw/x", "1");
+    let ended = sealed.run("plan p.yaml");
+    assert_eq!(ended.code, 3, "{ended:?}");
+    let said = ended.stderr;
+    assert!(said.contains("p.yaml:4:") && said.contains("it is a folder, expected a file"), "{said}");
+}
+
 #[test]
 fn a_content_that_must_be_so_and_is_not_stops_everything_beforehand() {
     let digest = "f4f1b1b4a3ea7d3c0ad5ac2ff6a1a6dc0f9d9c4dd3e6b1cc3a0a5a3d5f7b1e2c";

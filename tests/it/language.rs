@@ -37,6 +37,18 @@ fn exclude_takes_away_and_include_adds_whole_combinations() {
 }
 
 #[test]
+fn include_skips_a_value_that_a_profile_or_set_removed() {
+    let sealed = matrix("matrix: [e, a, { include: [{ e: g, a: 7 }] }]");
+    assert_eq!(instances(&sealed, " --set axes.e=f"), ["s[e=f, a=1]", "s[e=f, a=2]", "t"]);
+    let sealed = matrix("matrix: [a, b, { include: [{ a: 2, b: z }, { a: 3, b: z }] }]");
+    let expected = ["s[a=1, b=x]", "s[a=1, b=y]", "s[a=3, b=z]", "t"];
+    assert_eq!(instances(&sealed, " --profile small"), expected);
+    // Values that only the stage's own list leaves out can be included.
+    let sealed = matrix("matrix: [{ e: [f], a: [1] }, { include: [{ e: g, a: 2 }] }]");
+    assert_eq!(instances(&sealed, ""), ["s[e=f, a=1]", "s[e=g, a=2]", "t"]);
+}
+
+#[test]
 fn when_lets_through_by_axis_field_and_profile() {
     let sealed = matrix("matrix: [e, a], when: [{ e.n: 2, a: { not: 1 } }, { profile: small }]");
     assert_eq!(instances(&sealed, ""), ["s[e=g, a=2]", "t"]);
@@ -53,6 +65,22 @@ fn a_stage_that_is_switched_off_takes_its_optional_readers_inputs_with_it() {
     assert_eq!(instances(&sealed, ""), ["a", "b", "c"]);
     assert_eq!(instances(&sealed, " --profile small"), ["b", "c"]);
     sealed.run_ok("run p.yaml --profile small");
+}
+
+#[test]
+fn a_profile_without_any_stage_says_that_every_when_is_false() {
+    let sealed = Sealed::with(
+        "name: p\nstages: { a: { kind: emit, when: { profile: full }, with: { text: a } } }\nprofiles: { full: {}, small: {} }\n",
+    );
+    for args in ["", " a", " --from a", " --force a"] {
+        let ended = sealed.run(&format!("plan p.yaml --profile small{args}"));
+        let said = "no stage exists under profile `small`: every `when` is false";
+        assert!(ended.code == 2 && ended.stderr.contains(said), "{args}: {}", ended.stderr);
+    }
+    let empty = Sealed::with("name: p\ninclude: q.yaml\n");
+    empty.write("q.yaml", "params: { a: 1 }\n");
+    let ended = empty.run("plan p.yaml");
+    assert!(ended.code == 3 && ended.stderr.contains("the pipeline has no stages"), "{}", ended.stderr);
 }
 
 #[test]
@@ -105,6 +133,34 @@ fn several_values_make_an_axis_of_the_stage_and_of_what_reads_one_artifact_of_it
     assert_eq!(instances(&sealed, " --set say.times=1,3"), expected);
     assert_eq!(instances(&sealed, " --set axes.k=5,6 --set say.text='a,b'").len(), 5);
     sealed.run_ok("run p.yaml --set say.times=1,3");
+}
+
+#[test]
+fn a_sweep_multiplies_the_combinations_of_include() {
+    let sealed = matrix("matrix: [a, { include: [{ a: 3 }] }]");
+    let expected = [
+        "s[a=1, times=1]",
+        "s[a=1, times=3]",
+        "s[a=2, times=1]",
+        "s[a=2, times=3]",
+        "s[a=3, times=1]",
+        "s[a=3, times=3]",
+        "t",
+    ];
+    assert_eq!(instances(&sealed, " --set s.times=1,3"), expected);
+    let sealed = Sealed::with(
+        "name: p\naxes: { k: [1, 2] }\nstages:\n  say: { kind: emit, with: { text: t } }\n  \
+         count: { kind: count, matrix: [k, { exclude: { k: 1 }, include: { k: 3 } }], inputs: { start: say } }\n",
+    );
+    let expected = [
+        "say[times=1]",
+        "say[times=3]",
+        "count[k=2, times=1]",
+        "count[k=2, times=3]",
+        "count[k=3, times=1]",
+        "count[k=3, times=3]",
+    ];
+    assert_eq!(instances(&sealed, " --set say.times=1,3"), expected);
 }
 
 const CHAIN: &str = "\

@@ -147,6 +147,79 @@ fn set_goes_over_profile_over_stage_over_defaults() {
 }
 
 #[test]
+fn a_later_set_of_the_same_field_replaces_an_earlier_sweep() {
+    let text = "name: sample\nstages: { train: { kind: train, with: { steps: 5 } } }";
+    for (set, expected) in [
+        (&["train.steps=1,2", "train.steps=7"][..], &["train"][..]),
+        (&["train.steps=7", "train.steps=1,2"], &["train[steps=1]", "train[steps=2]"]),
+        (&["train.steps=1,2", "train.steps=3,4"], &["train[steps=3]", "train[steps=4]"]),
+        (&["train.steps=1,2", "train={ steps: 7 }"], &["train"]),
+        (&["train.env.track.laps=1,2", "train.env.track=!replace {}"], &["train"]),
+        (&["train.env.track.laps=1,2", "train.env=!replace { maze: { size: 2 } }"], &["train"]),
+        (&["train.env.track.laps=1,2", "train.env.track={ laps: 3 }"], &["train"]),
+        // What does not touch the field leaves the sweep alone.
+        (&["train.steps=1,2", "train.anneal=true"], &["train[steps=1]", "train[steps=2]"]),
+        (&["train.env.track.laps=1,2", "train.env.track={}"], &["train[laps=1]", "train[laps=2]"]),
+    ] {
+        assert_eq!(ids(&graph_of(text, None, set)), expected, "{set:?}");
+    }
+    let last = graph_of(text, None, &["train.steps=1,2", "train.steps=7"]);
+    assert_eq!(instance(&last, "train").params["steps"], 7);
+}
+
+#[test]
+fn the_notation_of_a_commands_files_does_not_change_its_parameters() {
+    let params = |outputs: &str, inputs: &str| {
+        let text = format!(
+            "stages: {{ c: {{ kind: command, with: {{ run: [x, \"{{inputs.i}}\"], outputs: {outputs}, inputs: {inputs} }}, \
+             inputs: {{ i: {{ file: f }} }} }} }}"
+        );
+        let graph = graph(&text);
+        instance(&graph, "c").params.clone()
+    };
+    for same in [
+        &[
+            "{ o: ~ }",
+            "{ o: {} }",
+            "{ o: { type: file } }",
+            "{ o: outputs/o.bin }",
+            "{ o: ./outputs//o.bin }",
+        ][..],
+        &["{ o: o.csv }", "{ o: { path: o.csv } }", "{ o: { type: file, path: ./o.csv } }"],
+        &["{ o: m/ }", "{ o: { type: folder, path: m } }", "{ o: { path: ./m// } }"],
+        &["{ o: { type: table } }", "{ o: { type: table, path: outputs/o.csv } }"],
+        &["{ o: { type: folder } }", "{ o: outputs/o/ }", "{ o: { type: folder, path: outputs/o/ } }"],
+    ] {
+        for other in same {
+            assert_eq!(params(other, "{}"), params(same[0], "{}"), "{other}");
+        }
+    }
+    for same in [
+        &[
+            "{}",
+            "{ i: ~ }",
+            "{ i: {} }",
+            "{ i: inputs/i }",
+            "{ i: { path: ./inputs/i, type: any, many: false } }",
+        ][..],
+        &["{ i: data/ }", "{ i: { path: data, type: folder } }"],
+        &["{ i: data }", "{ i: { path: ./data, type: any } }"],
+        &["{ i: { type: folder } }", "{ i: inputs/i/ }"],
+    ] {
+        for other in same {
+            assert_eq!(params("{ o: ~ }", other), params("{ o: ~ }", same[0]), "{other}");
+        }
+    }
+    assert_eq!(params("{ o: ~ }", "{}")["outputs"], json!({ "o": {} }), "the usual notation keeps its key");
+    assert_ne!(
+        params("{ o: ~ }", "{}"),
+        params("{ o: ~ }", "{ j: { optional: true } }"),
+        "an input of its own"
+    );
+    assert_ne!(params("{ o: { type: table } }", "{}"), params("{ o: ~ }", "{}"));
+}
+
+#[test]
 fn set_reaches_params_axes_defaults_and_the_seed() {
     let text = "name: sample\nparams: { car: { track: { laps: 2 } } }\naxes: { seed: [1, 2] }\n\
                 stages: { train: { kind: train, matrix: [seed], with: { steps: 5, env: $car } } }";

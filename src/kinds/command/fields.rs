@@ -80,6 +80,22 @@ impl CommandInput {
         let folder = !self.many && self.path.as_deref().is_some_and(|path| path.ends_with('/'));
         self.artifact.unwrap_or(if folder { Artifact::FOLDER } else { Artifact::ANY })
     }
+
+    /// One notation for each meaning: without path and type where they are the default, a folder with a `/` after its path.
+    pub(super) fn unify(&mut self, name: &str) {
+        let artifact = self.artifact();
+        let path = self.path.take().map(|path| normal(&path)).filter(|path| *path != default_input(name));
+        (self.path, self.artifact) = match (path, artifact) {
+            (path, Artifact::ANY) => (path, None),
+            (Some(path), Artifact::FOLDER) if !self.many => (Some(path + "/"), None),
+            (path, artifact) => (path, Some(artifact)),
+        };
+    }
+}
+
+/// The default path of an input.
+pub(super) fn default_input(name: &str) -> String {
+    format!("inputs/{name}")
 }
 
 /// An output of a command.
@@ -113,6 +129,18 @@ impl CommandOutput {
             Artifact::FOLDER => format!("outputs/{name}"),
             artifact => format!("outputs/{name}.{}", artifact.extension()),
         }
+    }
+
+    /// As [`CommandInput::unify`].
+    pub(super) fn unify(&mut self, name: &str) {
+        let artifact = self.artifact();
+        let default = Self { path: None, artifact: Some(artifact) }.default_path(name);
+        let path = self.path.take().map(|path| normal(&path)).filter(|path| *path != default);
+        (self.path, self.artifact) = match (path, artifact) {
+            (path, Artifact::FILE) => (path, None),
+            (Some(path), Artifact::FOLDER) => (Some(path + "/"), None),
+            (path, artifact) => (path, Some(artifact)),
+        };
     }
 }
 

@@ -19,7 +19,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use fields::{CommandInput, CommandOutput, Variables, Word};
-use fields::{is_inside, normal};
+use fields::{default_input, is_inside, normal};
 use template::Piece;
 
 /// Runs a program.
@@ -64,11 +64,15 @@ impl CommandParams {
         self.words().into_iter().chain(self.env.values())
     }
 
+    /// The names of the inputs that the command uses.
+    fn used_inputs(&self) -> impl Iterator<Item = &str> {
+        let pieces = self.templates().filter_map(|text| template::pieces(text).ok()).flatten();
+        pieces.filter_map(|piece| if let Piece::Input(name) = piece { Some(name) } else { None })
+    }
+
     /// The names of all inputs: declared ones, and those that the command uses.
     fn input_names(&self) -> BTreeSet<&str> {
-        let named = self.templates().filter_map(|text| template::pieces(text).ok()).flatten();
-        let named = named.filter_map(|piece| if let Piece::Input(name) = piece { Some(name) } else { None });
-        named.chain(self.inputs.keys().map(String::as_str)).collect()
+        self.used_inputs().chain(self.inputs.keys().map(String::as_str)).collect()
     }
 
     fn input(&self, name: &str) -> CommandInput {
@@ -78,7 +82,7 @@ impl CommandParams {
     /// The path of an input in the working folder.
     fn input_path(&self, name: &str) -> String {
         let declared = self.inputs.get(name).and_then(|input| input.path.as_deref());
-        declared.map_or_else(|| format!("inputs/{name}"), normal)
+        declared.map_or_else(|| default_input(name), normal)
     }
 
     /// Where an output is expected in the working folder.
@@ -104,6 +108,18 @@ impl Describe for Command {
         check_command(params, problems);
         check_names(params, problems);
         check_paths(params, problems);
+    }
+
+    fn unify(params: &mut CommandParams) {
+        params.outputs.iter_mut().for_each(|(name, output)| output.unify(name));
+        params.inputs.iter_mut().for_each(|(name, input)| input.unify(name));
+        // An input that the command uses needs no entry of its own.
+        let used: BTreeSet<String> = params.used_inputs().map(str::to_owned).collect();
+        params.inputs.retain(|name, input| !used.contains(name) || *input != CommandInput::default());
+    }
+
+    fn literal(text: &str) -> String {
+        template::literal(text)
     }
 
     fn ports(params: &CommandParams) -> Ports {

@@ -1,7 +1,8 @@
 //! The placeholders of a command: `{inputs.name}` and so on.
 //!
-//! Only the forms below are placeholders; all other braces belong to the program (`awk '{print}'`, JSON, a shell's `${x}`) and need
-//! no escape. What looks like a misspelt placeholder is an error.
+//! Only the forms below are placeholders; all other braces belong to the program (`awk '{print}'`, JSON) and need no escape, and
+//! braces right after a `$` belong to the shell (`${seed}` is a variable). What looks like a misspelt placeholder is an error.
+//! Doubled braces are the text itself: `{{seed}}` is `{seed}`.
 
 use std::ops::Range;
 
@@ -23,44 +24,66 @@ pub(super) enum Piece<'t> {
 /// The placeholders, for messages.
 pub(super) const FORMS: &str = "`{inputs.name}`, `{outputs.name}`, `{checkpoints}` and `{seed}`";
 
-const WORDS: [&str; 4] = ["inputs", "outputs", "checkpoints", "seed"];
+/// A placeholder, or what looks like a misspelt one.
+struct Mark<'t> {
+    /// Where its `{` is.
+    open: usize,
+    /// Where its `}` is.
+    close: usize,
+    name: &'t str,
+    /// `None` for a misspelt one.
+    piece: Option<Piece<'t>>,
+}
+
+/// The first one from `at` on.
+fn mark(text: &str, mut at: usize) -> Option<Mark<'_>> {
+    while let Some(open) = text[at..].find('{').map(|found| at + found) {
+        at = open + 1;
+        let Some(inside) = braced(text, open).filter(|_| !text[..open].ends_with('$')) else { continue };
+        let name = &text[inside.clone()];
+        let piece = form(name);
+        if piece.is_some() || is_slip(name) {
+            return Some(Mark { open, close: inside.end, name, piece });
+        }
+    }
+    None
+}
 
 /// Parses `text`; the error is a misspelt placeholder.
 pub(super) fn pieces(text: &str) -> Result<Vec<Piece<'_>>, String> {
     let mut pieces = Vec::new();
     let mut begin = 0;
-    let mut at = 0;
-    while let Some(open) = text[at..].find('{').map(|found| at + found) {
-        let Some(inside) = braced(text, open) else {
-            at = open + 1;
-            continue;
-        };
-        let name = &text[inside.clone()];
-        let doubled = text[..open].ends_with('{') && open > begin && text[inside.end + 1..].starts_with('}');
-        let piece = match form(name) {
-            // `{{seed}}` is the text `{seed}`.
-            Some(_) if doubled => {
-                pieces.push(Piece::Text(&text[begin..open]));
-                pieces.push(Piece::Text(&text[inside.start..=inside.end]));
-                begin = inside.end + 2;
-                at = begin;
-                continue;
-            }
-            Some(piece) => piece,
-            None if is_slip(name) => return Err(format!("`{{{name}}}` is not one of {FORMS}")),
-            None => {
-                at = open + 1;
-                continue;
-            }
-        };
+    while let Some(Mark { open, close, name, piece }) = mark(text, begin) {
         pieces.push(Piece::Text(&text[begin..open]));
-        pieces.push(piece);
-        begin = inside.end + 1;
-        at = begin;
+        let doubled = text[begin..open].ends_with('{') && text[close + 1..].starts_with('}');
+        begin = close + 1;
+        if doubled {
+            pieces.push(Piece::Text(&text[open + 1..=close]));
+            begin += 1;
+        } else if let Some(piece) = piece {
+            pieces.push(piece);
+        } else {
+            return Err(format!(
+                "`{{{name}}}` is not one of {FORMS}; write `{{{{{name}}}}}` if it is meant as text"
+            ));
+        }
     }
     pieces.push(Piece::Text(&text[begin..]));
     pieces.retain(|piece| *piece != Piece::Text(""));
     Ok(pieces)
+}
+
+/// The template that stands for `text` itself.
+pub(super) fn literal(text: &str) -> String {
+    let mut literal = String::with_capacity(text.len());
+    let mut begin = 0;
+    while let Some(Mark { open, close, name, .. }) = mark(text, begin) {
+        literal.push_str(&text[begin..open]);
+        literal.extend(["{{", name, "}}"]);
+        begin = close + 1;
+    }
+    literal.push_str(&text[begin..]);
+    literal
 }
 
 /// The name in the braces that open at `open`; `None` where the braces contain something else.
@@ -80,9 +103,17 @@ fn form(name: &str) -> Option<Piece<'_>> {
     }
 }
 
+/// A name that has the form of an input or output but is spelt almost like it, or a word that stands for nothing here. Words
+/// that only resemble one (`{speed}`) are the program's own.
 fn is_slip(name: &str) -> bool {
-    let first = name.split('.').next().unwrap_or_default();
-    WORDS.iter().any(|word| strsim::damerau_levenshtein(first, word) <= 1)
+    let near = |first: &str| {
+        ["inputs", "outputs"].iter().any(|word| strsim::damerau_levenshtein(first, word) <= 1)
+            || ["checkpoint", "checkpoints", "seed"].contains(&first)
+    };
+    match name.split_once('.') {
+        Some((first, _)) => near(first),
+        None => ["input", "inputs", "output", "outputs", "checkpoint"].contains(&name),
+    }
 }
 
 /// A letter, then letters, digits, `-` and `_`: as everything in a pipeline file is named.
@@ -126,6 +157,9 @@ mod tests {
             ("{{inputs.a}}", "{inputs.a}"),
             ("{", "{"),
             ("{inputs.ä}", "{inputs.ä}"),
+            ("${seed} $${inputs.a} $ {seed}", "${seed} $${inputs.a} $ <seed>"),
+            ("{speed} {sed} {seeds} {feed.x}", "{speed} {sed} {seeds} {feed.x}"),
+            ("{{input.a}} {{inputs}} {{speed}}", "{input.a} {inputs} {{speed}}"),
         ] {
             assert_eq!(shown(text), expected, "{text}");
         }
@@ -133,14 +167,44 @@ mod tests {
 
     #[test]
     fn a_misspelt_placeholder_is_refused() {
-        for text in
-            ["{input.raw}", "{inputs}", "{outputs.}", "{output.x}", "{sed}", "{checkpoint}", "{inputs.a.b}"]
-        {
+        for text in [
+            "{input.raw}",
+            "{inptus.a}",
+            "{input}",
+            "{inputs}",
+            "{output}",
+            "{outputs}",
+            "{outputs.}",
+            "{output.x}",
+            "{checkpoint}",
+            "{seed.x}",
+            "{inputs.a.b}",
+        ] {
             assert!(shown(text).starts_with("error: `{"), "{text}: {}", shown(text));
         }
     }
 
+    fn part() -> impl Strategy<Value = &'static str> {
+        prop::sample::select(vec![
+            "{", "}", "{{", "}}", "$", "seed", "inputs.a", "input", "output.x", "x", " ü", ".",
+        ])
+    }
+
     proptest! {
+        #[test]
+        fn a_literal_stands_for_its_text_and_nothing_else(parts in prop::collection::vec(part(), 0..12)) {
+            let text = parts.concat();
+            let literal = literal(&text);
+            let read = pieces(&literal);
+            prop_assert!(read.is_ok(), "{literal}");
+            let texts: Option<String> = read
+                .unwrap_or_default()
+                .iter()
+                .map(|piece| if let Piece::Text(text) = piece { Some(*text) } else { None })
+                .collect();
+            prop_assert_eq!(texts, Some(text));
+        }
+
         #[test]
         fn no_text_is_lost_where_there_is_no_placeholder(text in "[a-z{} ü$.]{0,20}") {
             if let Ok(pieces) = pieces(&text) && pieces.iter().all(|piece| matches!(piece, Piece::Text(_))) {

@@ -15,6 +15,7 @@ pub struct Kind {
     environment: Option<&'static str>,
     passed: Option<&'static str>,
     texts: &'static [&'static str],
+    literal: fn(&str) -> String,
     seeded_by: fn(&Value) -> Result<bool, Vec<ParamProblem>>,
     schema: fn() -> schemars::Schema,
     normalize: fn(&Value) -> Result<Value, Vec<ParamProblem>>,
@@ -83,6 +84,7 @@ impl Kind {
             environment: D::ENVIRONMENT,
             passed: D::PASSED,
             texts: D::TEXTS,
+            literal: D::literal,
             seeded_by: seeded_by::<D>,
             schema: schema_of::<D>,
             normalize: normalize::<D>,
@@ -150,12 +152,18 @@ impl Kind {
         self.texts
     }
 
+    /// See [`Describe::literal`].
+    pub fn literal(&self, text: &str) -> String {
+        (self.literal)(text)
+    }
+
     /// The JSON Schema of the parameters.
     pub fn schema(&self) -> schemars::Schema {
         (self.schema)()
     }
 
-    /// The complete parameters: defaults filled in, numbers converted to the type of their field, ranges checked.
+    /// The complete parameters: defaults filled in, numbers converted to the type of their field, ranges checked, notations
+    /// unified.
     ///
     /// # Errors
     /// All invalid fields at once.
@@ -226,25 +234,26 @@ fn read<D: Describe>(value: &Value) -> Result<D::Params, Vec<ParamProblem>> {
 }
 
 fn normalize<D: Describe>(value: &Value) -> Result<Value, Vec<ParamProblem>> {
-    checked::<D>(&read::<D>(value)?)
+    checked::<D>(&mut read::<D>(value)?)
 }
 
 fn look<D: Describe>(value: &Value) -> Result<Look, Vec<ParamProblem>> {
-    let params = read::<D>(value)?;
+    let mut params = read::<D>(value)?;
     // Ports may rely on checked parameters.
-    let full = checked::<D>(&params)?;
+    let full = checked::<D>(&mut params)?;
     let (ports, needs, seeded) = (D::ports(&params), D::needs(&params), D::seeded(&params));
     Ok(Look { params: full, ports, needs, seeded })
 }
 
 /// The complete parameters as a JSON value.
-fn checked<D: Describe>(params: &D::Params) -> Result<Value, Vec<ParamProblem>> {
+fn checked<D: Describe>(params: &mut D::Params) -> Result<Value, Vec<ParamProblem>> {
     let mut problems = Problems::default();
     D::check(params, &mut problems);
     let found = problems.into_vec();
     if !found.is_empty() {
         return Err(found);
     }
+    D::unify(params);
     serde_json::to_value(params).map_err(|error| {
         vec![ParamProblem {
             path: Vec::new(),

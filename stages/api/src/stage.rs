@@ -49,6 +49,18 @@ pub trait Describe: 'static {
         let _ = (params, problems);
     }
 
+    /// Brings notations with the same meaning to one form, so that equal stages have equal keys. Called after
+    /// [`Describe::check`].
+    fn unify(params: &mut Self::Params) {
+        let _ = params;
+    }
+
+    /// A text as the parameters of the kind have to write it, so that it stays as it is: for a kind that replaces placeholders
+    /// in texts. The values of [`Describe::ENVIRONMENT`] are written in this way.
+    fn literal(text: &str) -> String {
+        text.to_owned()
+    }
+
     /// The inputs and outputs.
     fn ports(params: &Self::Params) -> Ports;
 
