@@ -41,7 +41,7 @@ pub const REPLAY: Tool = Tool {
             "mode",
             ToolValue::Choice(&["deterministic", "stochastic"]),
             "stochastic",
-            "Whether actions are the mode of the policy's distribution or draws from it",
+            "Whether actions are the mean of the policy's distribution or samples from it",
         ),
         ToolOption::new("width", ToolValue::Count, "480", "Width of a frame in pixels"),
         ToolOption::new("every", ToolValue::Count, "2", "Draw every Nth step"),

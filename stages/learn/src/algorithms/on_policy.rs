@@ -10,13 +10,16 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use super::ppo::{LearnError, Update, UpdateStats, gae};
 use crate::nn::{Gradients, Optimizer, OptimizerSettings};
-use crate::policy::Policy;
+use crate::policy::{Parts, Policy};
 use crate::training::checkpoint::{self, Arrays, foreign};
 use crate::training::episodes::EpisodeLog;
-use crate::training::log::{RecentScores, Speed, TrainingLog};
+use crate::training::log::{RecentScores, TrainingLog, UpdateSpeed};
 use crate::training::normalize::RewardNormalizer;
 use crate::training::rollout::{Rollout, Sampler, SamplerSettings, SamplerState};
 use crate::training::tensorboard::Curves;
+
+/// The name of the array in a checkpoint that was saved inside an update.
+const BEFORE_UPDATE: &str = "weights before the update";
 
 /// The settings of a training.
 #[derive(Clone, Debug, PartialEq)]
@@ -154,6 +157,8 @@ pub struct Training<H> {
     optimizer: Optimizer,
     gradients: Gradients,
     progress: Progress,
+    /// The weights before the current update, which played the rollout.
+    before_update: Vec<f32>,
 }
 
 /// The remaining state of a training; part of a checkpoint.
@@ -233,6 +238,9 @@ impl<H: Hooks> Training<H> {
                     return Err(foreign("its rollout is longer"));
                 }
                 training.progress = state.progress;
+                if training.progress.update.is_some() {
+                    training.before_update = arrays.take_f32(BEFORE_UPDATE, weights.len())?;
+                }
                 Ok(training)
             }
         }
@@ -270,6 +278,7 @@ impl<H: Hooks> Training<H> {
             settings,
             policy,
             hooks,
+            before_update: Vec::new(),
         }
     }
 
@@ -280,14 +289,18 @@ impl<H: Hooks> Training<H> {
     /// checkpoint.
     pub fn run(mut self, ctx: &mut Ctx<'_>) -> Result<Trained<H>, StageError> {
         let mut curves = Curves::open(ctx)?;
-        let speed = Speed::from(self.steps_done());
+        let mut speed = UpdateSpeed::from(self.steps_done(), self.progress.t > 0);
         while self.progress.updates_done < self.settings.updates_in(self.settings.params.to_step()) {
-            self.gather(ctx, speed)?;
+            self.gather(ctx, &speed)?;
             if self.progress.update.is_none() {
                 self.begin_update()?;
             }
-            let outcome = self.learn(ctx)?;
+            let outcome = self.learn(ctx)?.and_then(|()| self.check_outputs());
+            if outcome.is_err() {
+                self.fall_back();
+            }
             self.end_update(outcome.is_err());
+            speed.update_ended(self.steps_done());
             curves.last_row(self.steps_done(), &self.progress.log)?;
             if let Err(reason) = outcome {
                 self.diverged(&reason)?;
@@ -300,7 +313,7 @@ impl<H: Hooks> Training<H> {
     }
 
     /// Fills the rollout.
-    fn gather(&mut self, ctx: &mut Ctx<'_>, speed: Speed) -> Result<(), StageError> {
+    fn gather(&mut self, ctx: &mut Ctx<'_>, speed: &UpdateSpeed) -> Result<(), StageError> {
         while self.progress.t < self.rollout.steps {
             let finished = self.sampler.step(&self.policy, &mut self.rollout, self.progress.t)?;
             self.progress.t += 1;
@@ -311,7 +324,7 @@ impl<H: Hooks> Training<H> {
             }
             let (done, total, mean) =
                 (self.steps_done(), self.settings.params.to_step(), self.progress.scores.mean(10));
-            ctx.progress(done, total, "steps", || format!("score {mean:.0}, {:.0} steps/s", speed.at(done)));
+            ctx.progress(done, total, "steps", || format!("score {mean:.0}{speed}"));
             // Not between a full rollout and its update: the update is saved with its inputs.
             if self.progress.t < self.rollout.steps {
                 self.save_if_due(ctx)?;
@@ -331,6 +344,7 @@ impl<H: Hooks> Training<H> {
         let last = self.policy.values(&self.rollout.observations(self.rollout.steps));
         let UpdateParams { gamma, gae_lambda, .. } = self.settings.update;
         self.progress.update = Some(Update::new(gae(&self.rollout, &last, gamma, gae_lambda)));
+        self.before_update = self.policy.params().values().to_vec();
         Ok(())
     }
 
@@ -350,6 +364,27 @@ impl<H: Hooks> Training<H> {
                 Ok(()) => self.save_if_due(ctx)?,
                 Err(LearnError::Diverged(reason)) => return Ok(Err(reason)),
             }
+        }
+    }
+
+    /// Checks that the policy can act where the next rollout begins: finite weights may be so large that its outputs are
+    /// not finite. The error says so.
+    fn check_outputs(&self) -> Result<(), String> {
+        let observations = self.rollout.observations(self.rollout.steps);
+        let answers = self.policy.infer(&observations, Parts::Both);
+        let mut mean = vec![0.0; self.policy.architecture().action_len()];
+        let finite = answers.values.iter().enumerate().all(|(env, value)| {
+            let row = self.policy.row(&answers, env);
+            row.mean(&mut mean);
+            value.is_finite() && row.entropy().is_finite() && mean.iter().all(|x| x.is_finite())
+        });
+        if finite { Ok(()) } else { Err("the outputs of the policy are not finite".to_owned()) }
+    }
+
+    /// After an update that diverged: returns to the weights before it if those at its end cannot act.
+    fn fall_back(&mut self) {
+        if self.check_outputs().is_err() {
+            self.policy.params_mut().set_values(&self.before_update);
         }
     }
 
@@ -411,6 +446,9 @@ impl<H: Hooks> Training<H> {
         if ctx.checkpoint_due() {
             let mut arrays = Arrays::new();
             arrays.put_f32("weights", self.policy.params().values());
+            if self.progress.update.is_some() {
+                arrays.put_f32(BEFORE_UPDATE, &self.before_update);
+            }
             self.optimizer.save("optimizer", &mut arrays);
             self.rollout.save(&mut arrays);
             let state = State {

@@ -1,7 +1,7 @@
 //! The stage `ppo`: trains a policy on the environment's own reward. The loop is [`super::on_policy`], the algorithm
 //! [`super::ppo`].
 
-use dril_envs::VecEnv;
+use dril_envs::{ObservationSpace, VecEnv};
 use dril_kinds::{Algorithm, Network, Ppo, PpoParams};
 use dril_stage_api::{Ctx, Stage, StageError};
 
@@ -78,7 +78,9 @@ fn initial_policy(
             format!("has the architecture {seen:?}, expected {wanted:?} from `env`, `policy` and `network`");
         return Err(StageError::input("policy", path, message));
     }
-    if policy.statistics.is_some() != params.normalize_observations {
+    let normalizes =
+        params.normalize_observations && matches!(architecture.observation, ObservationSpace::Vector { .. });
+    if policy.statistics.is_some() != normalizes {
         let message = "was trained with another setting of `normalize_observations`; set it as in the stage that made the \
                        policy";
         return Err(StageError::input("policy", path, message));

@@ -2,6 +2,7 @@
 
 use dril_envs::{ActionSpace, ObservationSpace, Outcome};
 use dril_kinds::PolicyFamily;
+use dril_stage_api::Seed;
 use dril_stage_api::testing::Bench;
 use serde_json::{Value, json};
 use std::sync::atomic::Ordering::Relaxed;
@@ -9,6 +10,8 @@ use std::time::Duration;
 
 use super::*;
 use crate::algorithms::bc::tests::{outputs, stop_often};
+use crate::nn::Batch;
+use crate::play::act::act;
 use crate::test_env::Echo;
 
 const OUTPUTS: [&str; 3] = ["policy", "log", "episodes"];
@@ -185,6 +188,30 @@ fn a_network_that_diverges_keeps_its_last_finite_weights_where_that_is_asked_for
     // Reading it checks that every weight is finite.
     let policy = Policy::load("policy", &bench.output("policy").unwrap()).unwrap();
     assert_eq!(policy.diverged_at_step, Some(128));
+}
+
+#[test]
+fn the_agent_of_a_training_that_diverged_can_act() {
+    // Weights of the order of the rate are finite, and their products over the layers are not.
+    for (family, epochs) in [("gaussian", 1), ("gaussian", 2), ("beta", 1), ("beta", 2)] {
+        let params = json!({
+            "env": { "car-racing": { "time_limit": 5 } }, "policy": family, "n_envs": 1, "n_steps": 4, "total_timesteps": 8,
+            "n_epochs": epochs, "n_minibatches": 1, "learning_rate": 1e15, "on_divergence": "keep-last-finite"
+        });
+        let bench = Bench::new::<PpoStage>(&params, 1).unwrap();
+        bench.run().unwrap_or_else(|error| panic!("{family}, {epochs} epochs: {error}"));
+        let policy = Policy::load("policy", &bench.output("policy").unwrap()).unwrap();
+        assert_eq!(policy.diverged_at_step, Some(4));
+        let ObservationSpace::Image { height, width, stack } = policy.architecture().observation else {
+            panic!("images")
+        };
+        let batch = Batch::Images { rows: 1, bytes: vec![100; stack * height * width] };
+        let acted = act(&policy, &batch, 0.0, &mut Seed(1).stream("action"));
+        assert!(
+            acted.actions.iter().chain(&acted.values).all(|x| x.is_finite()),
+            "{family}, {epochs} epochs: {acted:?}"
+        );
+    }
 }
 
 #[test]

@@ -86,7 +86,7 @@ fn enough(mut attempts: Attempts, params: &CollectParams) -> Result<Vec<PlayedEp
         let best = attempts.best.unwrap_or(f64::NAN);
         return Err(StageError::failed(format!(
             "{found} of {tried} attempts scored above {}, expected {wanted}; the best scored {best:.1}: train the expert \
-             longer (`total_steps`), lower `above`, or raise `max_attempts`",
+             longer (`total_timesteps`), lower `above`, or raise `max_attempts`",
             params.above
         )));
     }

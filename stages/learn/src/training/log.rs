@@ -3,6 +3,7 @@
 //! It contains no times: the log is an artifact, and equal work gives equal bytes. Speed is shown in the progress line.
 
 use std::collections::VecDeque;
+use std::fmt::{self, Display, Formatter};
 use std::time::Instant;
 
 use dril_stage_api::StageError;
@@ -114,9 +115,59 @@ impl Speed {
     }
 }
 
+/// Measures the speed of an on-policy training over whole updates, for the progress line only.
+///
+/// A rollout takes little time and the epochs after it much. A rate that includes a part of an update, as after a
+/// resume, would be far too high or too low.
+#[derive(Clone, Copy, Debug)]
+pub struct UpdateSpeed {
+    whole: Option<Speed>,
+    rate: Option<f64>,
+}
+
+impl UpdateSpeed {
+    /// Starts measuring after `done` steps; inside an update, at its end.
+    pub fn from(done: u64, inside_update: bool) -> Self {
+        Self { whole: (!inside_update).then(|| Speed::from(done)), rate: None }
+    }
+
+    /// Counts an update that ended after `done` steps of the training.
+    pub fn update_ended(&mut self, done: u64) {
+        match self.whole {
+            Some(speed) => self.rate = Some(speed.at(done)),
+            None => self.whole = Some(Speed::from(done)),
+        }
+    }
+}
+
+impl Display for UpdateSpeed {
+    /// `, 104 steps/s`; nothing before the first whole update.
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        self.rate.map_or(Ok(()), |rate| write!(f, ", {rate:.0} steps/s"))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_speed_of_a_training_that_resumed_inside_an_update_is_shown_after_the_first_whole_one() {
+        let mut speed = UpdateSpeed::from(1_000, true);
+        assert_eq!(speed.to_string(), "");
+        speed.update_ended(1_100);
+        assert_eq!(speed.to_string(), "", "the time of this update's first part is unknown");
+        speed.update_ended(2_000);
+        assert!(speed.to_string().ends_with(" steps/s"), "{speed}");
+    }
+
+    #[test]
+    fn the_speed_of_a_new_training_is_shown_after_its_first_update() {
+        let mut speed = UpdateSpeed::from(0, false);
+        assert_eq!(speed.to_string(), "");
+        speed.update_ended(1_000);
+        assert!(speed.to_string().ends_with(" steps/s"), "{speed}");
+    }
 
     #[test]
     fn the_file_holds_numbers_that_read_back_and_leaves_what_does_not_exist_empty() {
