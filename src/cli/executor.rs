@@ -78,5 +78,6 @@ pub(super) fn runner(
     }
     // While it runs stages, this program starts no other processes.
     exec::claim_all_children();
+    exec::raise_open_files();
     Ok(Box::new(ChildRunner::this_program().map_err(unknown)?))
 }

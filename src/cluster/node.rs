@@ -83,6 +83,7 @@ impl<'a> Node<'a> {
         let _ = signal_hook::flag::register(SIGUSR1, Arc::clone(&late));
         // This program starts nothing but stages.
         exec::claim_all_children();
+        exec::raise_open_files();
         let name = rustix::system::uname().nodename().to_string_lossy().into_owned();
         let Assigned { job, gpus } = assigned;
         let runner = ChildRunner::this_program();

@@ -19,19 +19,20 @@ use dril_stage_api::{Message, Prepared, StageError};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
 
+use super::apart;
+use super::ending::exit;
 use super::failure::Failure;
 use super::listen::Listener;
 use super::memory;
 use super::options::POLL_INTERVAL;
 use super::resources;
 use super::runner::{Exit, Launch, Runner};
-use super::stage::EXIT_STOPPED;
 use super::survivors::{self, Followed};
 use super::unstarted;
 use super::warden::{Guarded, Warden};
 use crate::fsx::{self, Entry, File};
 
-/// How often the memory of a stage with a limit is measured.
+/// The shortest interval at which the memory of a stage with a limit is measured.
 const MEASURE_INTERVAL: Duration = Duration::from_millis(200);
 
 /// Variables that cap the threads of numerical libraries. Results do not depend on it; the speed of other stages does.
@@ -116,6 +117,7 @@ impl ChildRunner {
             .stderr(log.try_clone()?)
             .process_group(0)
             .spawn()
+            .inspect(apart::lower_open_files)
             .map_err(|error| {
                 io::Error::new(error.kind(), format!("cannot start `{}`: {error}", program.display()))
             })
@@ -134,9 +136,12 @@ impl ChildRunner {
         process.envs(&*self.passed);
         cap_threads(process, launch.threads);
         process.envs(resources::variables(launch.units));
+        // Tells which stage a process belongs to, wherever it works.
+        process.env("DRIL_STAGE_FOLDER", launch.folder);
         process
             .stdin(launch.lock.map_or_else(|| Ok(Stdio::null()), |lock| lock.as_input().map(Stdio::from))?);
-        process.stdout(Stdio::piped()).stderr(log.try_clone()?).process_group(0);
+        process.stdout(Stdio::piped()).stderr(log.try_clone()?);
+        apart::put_apart(process);
         let folder = self.real(launch.folder);
         survivors::take_orphans();
         let guarded = self.warden.guard(&folder)?;
@@ -240,7 +245,8 @@ struct Watched<'a> {
     asked: Option<Instant>,
     over: Option<Over>,
     began: Instant,
-    measured: Instant,
+    /// When its memory is measured next.
+    measure: Instant,
     /// The system's count of out-of-memory kills when it was started, at most a second old.
     kills: Option<u64>,
     reaped: bool,
@@ -264,7 +270,7 @@ impl<'a> Watched<'a> {
             asked: None,
             over: None,
             began: now,
-            measured: now,
+            measure: now + MEASURE_INTERVAL,
             kills,
             reaped: false,
         })
@@ -302,10 +308,7 @@ impl<'a> Watched<'a> {
     /// Asks the stage to stop, and kills it after the grace period.
     fn stop_if_asked(&mut self) {
         match self.asked {
-            None if self.launch.stop.load(Ordering::Relaxed) => {
-                self.asked = Some(Instant::now());
-                self.kill(Signal::TERM);
-            }
+            None if self.launch.stop.load(Ordering::Relaxed) => self.ask(),
             Some(asked) if asked.elapsed() >= self.launch.grace => self.kill(Signal::KILL),
             _ => {}
         }
@@ -320,17 +323,25 @@ impl<'a> Watched<'a> {
         }
         if limits.timeout.is_some_and(|limit| self.began.elapsed() >= limit) {
             self.over = Some(Over::Time);
-            self.asked = Some(Instant::now());
-            self.kill(Signal::TERM);
+            self.ask();
         } else if let Some(limit) = limits.memory
-            && self.measured.elapsed() >= MEASURE_INTERVAL
+            && Instant::now() >= self.measure
         {
-            self.measured = Instant::now();
-            if let Some(bytes) = memory::resident(self.group).filter(|bytes| *bytes > limit) {
+            let began = Instant::now();
+            if let Some(bytes) = memory::used_above(self.group, limit) {
                 self.over = Some(Over::Memory(bytes));
                 self.kill(Signal::KILL);
             }
+            // Measuring large processes takes a while, and they stand still meanwhile.
+            self.measure = Instant::now() + MEASURE_INTERVAL.max(began.elapsed() * 10);
         }
+    }
+
+    /// Asks the stage to stop. One that stands still is continued, so that it can.
+    fn ask(&mut self) {
+        self.asked = Some(Instant::now());
+        self.kill(Signal::TERM);
+        self.kill(Signal::CONT);
     }
 
     /// How it ended without success; `otherwise` where no limit was the cause. The failure mentions an incomplete log, since the
@@ -420,69 +431,9 @@ fn pidfd(_: Pid) -> Option<rustix::fd::OwnedFd> {
     None
 }
 
-/// How a process ended; `asked` where this run asked it to stop, `failure` the error that the stage reported.
-fn exit(status: ExitStatus, asked: bool, failure: Option<String>) -> Result<Exit, Failure> {
-    let failed = match (status.code(), status.signal()) {
-        (Some(0), _) => return Ok(Exit::Done),
-        (Some(code), _) if asked && code == i32::from(EXIT_STOPPED) => return Ok(Exit::Stopped),
-        (None, Some(_)) if asked => return Ok(Exit::Stopped),
-        (Some(code), _) if code == i32::from(EXIT_STOPPED) => "another process asked it to stop".to_owned(),
-        (_, Some(signal)) => format!("it was killed by {}", signal_name(signal)),
-        (Some(127), _) if failure.is_none() => {
-            "its program could not be loaded: a shared library is missing on this machine, or is another version; see the log"
-                .to_owned()
-        }
-        (Some(101), _) if failure.is_none() => "it panicked; see the log".to_owned(),
-        (Some(code), _) => {
-            failure.unwrap_or_else(|| format!("it ended with exit code {code} and reported no error"))
-        }
-        (None, None) => format!("it ended with {status}"),
-    };
-    Err(Failure::Stage(failed))
-}
-
-fn signal_name(signal: i32) -> String {
-    let name = match signal {
-        1 => "SIGHUP",
-        2 => "SIGINT",
-        3 => "SIGQUIT",
-        4 => "SIGILL (an instruction that this processor does not support)",
-        6 => "SIGABRT (it aborted; see the log)",
-        7 => "SIGBUS",
-        8 => "SIGFPE",
-        9 => "SIGKILL (by a user, or by the system when it ran out of memory)",
-        11 => "SIGSEGV (invalid memory access)",
-        15 => "SIGTERM",
-        24 => "SIGXCPU (CPU time limit)",
-        25 => "SIGXFSZ (file size limit)",
-        _ => return format!("signal {signal}"),
-    };
-    name.to_owned()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn every_way_a_process_ends_has_a_description() {
-        let exit = |raw, asked, failure: Option<&str>| {
-            exit(ExitStatus::from_raw(raw), asked, failure.map(str::to_owned))
-                .map_err(|failure| failure.to_string())
-        };
-        assert_eq!(exit(0, false, None), Ok(Exit::Done));
-        assert_eq!(exit(0, true, None), Ok(Exit::Done));
-        assert_eq!(exit(75 << 8, true, None), Ok(Exit::Stopped));
-        assert_eq!(exit(9, true, None), Ok(Exit::Stopped));
-        assert_eq!(exit(1 << 8, true, Some("no")), Err("no".to_owned()));
-        let reported_nothing = "it ended with exit code 7 and reported no error".to_owned();
-        assert_eq!(exit(7 << 8, false, None), Err(reported_nothing));
-        let text = exit(127 << 8, false, None).unwrap_err();
-        assert!(text.contains("shared library"), "{text}");
-        let text = exit(9, false, None).unwrap_err();
-        assert!(text.contains("SIGKILL") && text.contains("memory"), "{text}");
-        assert!(exit(75 << 8, false, None).is_err());
-    }
 
     #[test]
     fn a_worker_is_expected_beside_the_program() {

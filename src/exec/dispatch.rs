@@ -2,6 +2,7 @@
 //! reporters listen.
 
 mod backfill;
+mod retries;
 mod transitions;
 
 use std::collections::HashMap;
@@ -16,7 +17,7 @@ use super::executed::{Executed, Kept};
 use super::journal::Journal;
 use super::options::POLL_INTERVAL;
 use super::ready::{LockWaits, Ready};
-use super::resources::Pool;
+use super::resources::{Pool, Units};
 use super::task::{Task, WorkerEvent};
 use crate::plan::{self, Cached, Reason, Verdict};
 use crate::resolve::StageIndex;
@@ -38,6 +39,8 @@ enum State {
     /// Another stage of this run with the same key is running.
     Twin,
     Running,
+    /// It failed, and pauses before its next try.
+    Paused,
     Done,
     /// Failed, skipped or stopped: counted and reported.
     Over,
@@ -64,6 +67,8 @@ pub(super) struct Dispatcher<'a, 's> {
     ready: Ready,
     /// Stages whose key another process is building.
     elsewhere: LockWaits,
+    /// Stages that will be tried again.
+    paused: Vec<retries::Paused<'a>>,
     /// Keys that are being built by this run, with the other stages that have the same key.
     twins: HashMap<Key, Vec<StageIndex>>,
     /// Outputs that were built by this run and are not durable yet: their locks are held until they are.
@@ -102,6 +107,7 @@ impl<'a, 's> Dispatcher<'a, 's> {
             costs: Vec::new(),
             ready: Ready::default(),
             elsewhere: LockWaits::default(),
+            paused: Vec::new(),
             twins: HashMap::new(),
             underway: HashMap::new(),
             threads_used: 0,
@@ -119,7 +125,7 @@ impl<'a, 's> Dispatcher<'a, 's> {
     pub fn run(
         &mut self,
         steps: Vec<(StageIndex, Verdict)>,
-        events: &Receiver<WorkerEvent>,
+        events: &Receiver<WorkerEvent<'a>>,
         stop: &AtomicBool,
         start: &mut Start<'_, 'a>,
     ) -> Result<(), StoreError> {
@@ -131,9 +137,10 @@ impl<'a, 's> Dispatcher<'a, 's> {
             for stage in self.elsewhere.due(Instant::now()) {
                 self.ready.push(stage, self.costs[stage.index()]);
             }
+            self.end_pauses();
             self.start_ready(start)?;
             let waits = !self.elsewhere.is_empty() && !self.stopping && self.halted.is_none();
-            if self.running == 0 && self.committing == 0 && !waits {
+            if self.running == 0 && self.committing == 0 && self.paused.is_empty() && !waits {
                 return Ok(());
             }
             self.journal.write(false)?;
@@ -205,11 +212,16 @@ impl<'a, 's> Dispatcher<'a, 's> {
             self.outcome.out_of_time = late;
             self.context.halt.store(true, Ordering::Relaxed);
             self.journal.emit(&Event::Stopping { out_of_time: late });
+            self.stop_paused();
         }
     }
 
     fn start_ready(&mut self, start: &mut Start<'_, 'a>) -> Result<(), StoreError> {
-        while !self.stopping && self.halted.is_none() && self.committing < MAX_COMMITS {
+        if self.halted.is_some() {
+            // Only what has begun goes on.
+            self.keep_begun();
+        }
+        while !self.stopping && self.committing < MAX_COMMITS {
             let Some(first) = self.ready.peek() else { break };
             let free = self.budget().saturating_sub(self.threads_used);
             let stage = if !self.pool.has(&self.context.graph.stages[first].resources) {
@@ -228,6 +240,11 @@ impl<'a, 's> Dispatcher<'a, 's> {
     /// Starts a stage, unless its key was built in the meantime or is being built, here or by another process.
     fn start(&mut self, stage: StageIndex, start: &mut Start<'_, 'a>) -> Result<(), StoreError> {
         let Some(key) = self.keys[stage.index()] else { return Ok(()) };
+        if let Some(task) = self.take_paused(stage) {
+            let units = self.occupy(stage);
+            start(task.again(units));
+            return Ok(());
+        }
         if let Some(twins) = self.twins.get_mut(&key) {
             twins.push(stage);
             self.state[stage.index()] = State::Twin;
@@ -254,12 +271,8 @@ impl<'a, 's> Dispatcher<'a, 's> {
         }
         let why = self.take_why(stage)?;
         self.twins.insert(key, Vec::new());
-        self.state[stage.index()] = State::Running;
-        self.running += 1;
-        self.threads_used += self.threads(stage);
-        self.pace.began(stage, self.threads(stage), self.own_cost(stage));
         self.journal.emit(&Event::StageStarted { stage, key, why });
-        let units = self.pool.take(stage, &self.context.graph.stages[stage].resources);
+        let units = self.occupy(stage);
         start(Task::new(stage, key, (lock, units), run, &self.done, self.context));
         Ok(())
     }
@@ -296,16 +309,18 @@ impl<'a, 's> Dispatcher<'a, 's> {
         Ok(())
     }
 
-    fn handle(&mut self, event: WorkerEvent) -> Result<(), StoreError> {
+    fn handle(&mut self, event: WorkerEvent<'a>) -> Result<(), StoreError> {
         match event {
             WorkerEvent::Message(stage, dril_stage_api::Message::Progress(progress)) => {
                 self.journal.emit(&Event::Progressed { stage, progress });
             }
             WorkerEvent::Message(..) => {}
-            WorkerEvent::Retrying { stage, retry, failure, pause } => {
+            WorkerEvent::Retrying { task, retry, failure, pause } => {
+                let stage = task.stage();
                 let of = self.context.graph.stages[stage].limits.retries;
                 let failure = Arc::new(failure);
                 self.journal.emit(&Event::Retrying { stage, retry, of, failure, pause });
+                self.pause(task, pause);
             }
             WorkerEvent::Built(stage, outputs) => {
                 let twins = self.ended(stage);
@@ -335,12 +350,26 @@ impl<'a, 's> Dispatcher<'a, 's> {
         Ok(())
     }
 
-    /// Frees what a running stage occupied. Returns the other stages with its key.
-    fn ended(&mut self, stage: StageIndex) -> Vec<StageIndex> {
+    /// Gives a stage that starts the threads and units that it asks for.
+    fn occupy(&mut self, stage: StageIndex) -> Units {
+        self.state[stage.index()] = State::Running;
+        self.running += 1;
+        self.threads_used += self.threads(stage);
+        self.pace.began(stage, self.threads(stage), self.own_cost(stage));
+        self.pool.take(stage, &self.context.graph.stages[stage].resources)
+    }
+
+    /// Frees what a running stage occupied.
+    fn free(&mut self, stage: StageIndex) {
         self.running -= 1;
         self.threads_used -= self.threads(stage);
         self.pace.ended(stage);
         self.pool.give_back(stage);
+    }
+
+    /// As [`Self::free`], of a stage that is not tried again. Returns the other stages with its key.
+    fn ended(&mut self, stage: StageIndex) -> Vec<StageIndex> {
+        self.free(stage);
         self.keys[stage.index()].and_then(|key| self.twins.remove(&key)).unwrap_or_default()
     }
 
@@ -399,7 +428,8 @@ impl<'a, 's> Dispatcher<'a, 's> {
 
     /// How long to wait for the next event.
     fn timeout(&self) -> Duration {
-        let next = self.elsewhere.next().map(|next| next.saturating_duration_since(Instant::now()));
+        let next = self.elsewhere.next().into_iter().chain(self.next_try()).min();
+        let next = next.map(|next| next.saturating_duration_since(Instant::now()));
         next.map_or(POLL_INTERVAL, |next| next.min(POLL_INTERVAL))
     }
 }

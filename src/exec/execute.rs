@@ -14,6 +14,7 @@ use super::runner::Runner;
 use super::task::Task;
 use super::workers::Workers;
 use crate::plan::{Plan, Verdict};
+use crate::resolve::{Graph, StageIndex};
 use crate::store::Store;
 
 /// Executes the stages of the plan, and those that turn out to be stale after them. Stops cleanly soon after `stop`
@@ -32,7 +33,9 @@ pub fn execute(
 ) -> Result<Executed, ExecError> {
     let began = Instant::now();
     check_workers(&plan, runner)?;
-    check_resources(&plan, &options.resources)?;
+    let is_cached = |verdict: &Verdict| matches!(verdict, Verdict::Cached { .. });
+    let rest = plan.steps.iter().filter(|(_, verdict)| !is_cached(verdict)).map(|(stage, _)| *stage);
+    check_resources(plan.graph, rest, &options.resources)?;
     let Plan { graph, steps, files, order, history, held, stats, forced, .. } = plan;
     // This only saves time in the next run. A store that cannot be written is reported where it matters.
     let _ = store.keep_stats(&stats);
@@ -60,12 +63,13 @@ pub fn execute(
 }
 
 /// Reports a stage that can never start before anything runs.
-fn check_resources(plan: &Plan<'_>, units: &Units) -> Result<(), InsufficientResource> {
-    for (stage, verdict) in &plan.steps {
-        let node = &plan.graph.stages[*stage];
-        if matches!(verdict, Verdict::Cached { .. }) {
-            continue;
-        }
+pub(super) fn check_resources(
+    graph: &Graph,
+    stages: impl IntoIterator<Item = StageIndex>,
+    units: &Units,
+) -> Result<(), InsufficientResource> {
+    for stage in stages {
+        let node = &graph.stages[stage];
         for (name, wanted) in node.resources.iter() {
             let available = Pool::count(units, name);
             if *wanted as usize > available {

@@ -5,13 +5,20 @@
 //! file system.
 
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
+use super::apart;
 use super::failure::Failure;
 use crate::store::{Digest, PrivateCopy, Store, StoreError};
 
 /// Copies per stage that are held open, so that a file that replaces a copy is not mistaken for it. The number is limited
-/// because a process can have only about a thousand open files.
-const HELD: usize = 32;
+/// because a process can have only so many open files.
+const LARGEST: usize = 32;
+/// All stages together hold at most this part of the files that this process may have open.
+const PART: u64 = 4;
+
+/// The copies that all stages hold open.
+static HELD: AtomicUsize = AtomicUsize::new(0);
 
 /// Changed files that an error names; of more, it gives the number.
 const NAMED: usize = 5;
@@ -33,12 +40,34 @@ pub(super) struct Placed {
 #[derive(Debug, Default)]
 pub(super) struct LaidOut {
     copies: Vec<(&'static str, PathBuf, Vec<PrivateCopy>)>,
+    /// How many of them are held open.
+    held: usize,
+}
+
+impl LaidOut {
+    /// Holds a copy open, if there is room for one more.
+    fn hold(&mut self, copy: &mut PrivateCopy, most: usize) -> Result<(), Failure> {
+        let one_more = |held: usize| (held < most).then_some(held + 1);
+        if self.held >= LARGEST || HELD.fetch_update(Ordering::AcqRel, Ordering::Acquire, one_more).is_err() {
+            return Ok(());
+        }
+        self.held += 1;
+        Ok(copy.hold()?)
+    }
+}
+
+impl Drop for LaidOut {
+    fn drop(&mut self) {
+        // The files first: others may be opened in their place as soon as they are not counted.
+        self.copies.clear();
+        HELD.fetch_sub(self.held, Ordering::AcqRel);
+    }
 }
 
 /// Lays out every input.
 pub(super) fn lay_out(placed: &[Placed], store: &Store) -> Result<LaidOut, Failure> {
     let mut laid = LaidOut::default();
-    let mut held = 0;
+    let most = usize::try_from(apart::open_files() / PART).unwrap_or(usize::MAX);
     for (number, input) in placed.iter().enumerate() {
         if number == 0
             && let Some(folder) = input.to.parent()
@@ -51,9 +80,8 @@ pub(super) fn lay_out(placed: &[Placed], store: &Store) -> Result<LaidOut, Failu
             }
             error => error.into(),
         })?;
-        for copy in copies.iter_mut().take(HELD.saturating_sub(held)) {
-            copy.hold()?;
-            held += 1;
+        for copy in &mut copies {
+            laid.hold(copy, most)?;
         }
         if !copies.is_empty() {
             laid.copies.push((input.port, input.to.clone(), copies));

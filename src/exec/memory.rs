@@ -2,7 +2,7 @@
 //! `/proc`; on systems without it, memory limits are not enforced.
 
 use std::collections::HashSet;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
@@ -11,8 +11,23 @@ use rustix::process::Pid;
 use super::processes;
 use crate::fsx;
 
-/// Resident memory in bytes of all processes of a group and all descendants of its leader; `None` where it is unknown.
-pub(super) fn resident(group: Pid) -> Option<u64> {
+/// The memory in bytes of all processes of a group and all descendants of its leader, where it is above a limit.
+pub(super) fn used_above(group: Pid, limit: u64) -> Option<u64> {
+    let processes = processes_of(group);
+    let sum = |used: &dyn Fn(&Path) -> Option<u64>| -> u64 {
+        // A process that has ended since it was listed uses nothing.
+        processes.iter().map(|process| used(process).unwrap_or_default()).sum()
+    };
+    // Quick to find out, but it counts what processes share, as after a fork, once for each of them.
+    let resident = sum(&resident);
+    if resident <= limit {
+        return None;
+    }
+    Some(sum(&|process| share(process).or_else(|| self::resident(process)))).filter(|bytes| *bytes > limit)
+}
+
+/// The folders in `/proc` of all processes of a group and all descendants of its leader.
+fn processes_of(group: Pid) -> Vec<PathBuf> {
     let all = processes::all();
     let group = group.as_raw_nonzero().get();
     let mut counted: HashSet<i32> =
@@ -27,17 +42,25 @@ pub(super) fn resident(group: Pid) -> Option<u64> {
             break;
         }
     }
-    // A process that has ended since it was listed uses nothing.
-    all.iter().any(|one| one.pid == group || one.group == group).then(|| {
-        counted.iter().map(|pid| kept_by(&Path::new("/proc").join(pid.to_string())).unwrap_or_default()).sum()
-    })
+    counted.iter().map(|pid| Path::new("/proc").join(pid.to_string())).collect()
 }
 
-/// `VmRSS` in `/proc/<process>/status`, in bytes.
-fn kept_by(process: &Path) -> Option<u64> {
-    let status = fsx::read(&process.join("status")).ok()?;
-    let status = String::from_utf8_lossy(&status);
-    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
+/// The resident memory of a process, in bytes.
+fn resident(process: &Path) -> Option<u64> {
+    field(&process.join("status"), "VmRSS:")
+}
+
+/// The same, but of memory that several processes share only this one's part; `None` where the system does not tell (before Linux
+/// 4.14, and of processes of other users).
+fn share(process: &Path) -> Option<u64> {
+    field(&process.join("smaps_rollup"), "Pss:")
+}
+
+/// A line of a file in `/proc`, in bytes.
+fn field(file: &Path, name: &str) -> Option<u64> {
+    let text = fsx::read(file).ok()?;
+    let text = String::from_utf8_lossy(&text);
+    let line = text.lines().find_map(|line| line.strip_prefix(name))?;
     line.split_whitespace().next()?.parse::<u64>().ok().map(|kibibytes| kibibytes * 1024)
 }
 
@@ -69,8 +92,11 @@ mod tests {
     #[test]
     #[cfg(target_os = "linux")]
     fn the_memory_of_a_stage_is_that_of_its_processes() {
-        let bytes = resident(rustix::process::getpgrp()).unwrap();
+        let bytes = used_above(rustix::process::getpgrp(), 100_000).unwrap();
         assert!((100_000..1 << 40).contains(&bytes), "{bytes}");
-        assert!(resident(Pid::from_raw(i32::MAX).unwrap()).is_none());
+        assert!(used_above(rustix::process::getpgrp(), 1 << 40).is_none());
+        assert!(used_above(Pid::from_raw(i32::MAX).unwrap(), 0).is_none());
+        let own = Path::new("/proc/self");
+        assert!(share(own).unwrap() <= resident(own).unwrap());
     }
 }

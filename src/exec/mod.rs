@@ -1,9 +1,11 @@
 //! Executes a plan: one dispatcher owns the state of the run, stages run in child processes, and their outputs are published
 //! to the store. Another executor implements [`Runner`].
 
+mod apart;
 mod child;
 mod context;
 mod dispatch;
+mod ending;
 mod event;
 mod execute;
 mod executed;
@@ -29,6 +31,7 @@ mod unstarted;
 mod warden;
 mod workers;
 
+pub use apart::raise_open_files;
 pub use child::ChildRunner;
 pub use event::{Event, RunOutcome};
 pub use execute::execute;

@@ -50,6 +50,11 @@ impl Ready {
         self.0.peek().map(|entry| entry.stage)
     }
 
+    /// Removes the stages for which `stays` is false.
+    pub fn retain(&mut self, stays: impl Fn(StageIndex) -> bool) {
+        self.0.retain(|entry| stays(entry.stage));
+    }
+
     /// Takes the stage to start next.
     pub fn pop(&mut self) -> Option<StageIndex> {
         self.0.pop().map(|entry| entry.stage)

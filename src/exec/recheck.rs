@@ -1,8 +1,8 @@
 //! Runs finished stages a second time, each in a folder of its own, and compares their outputs with the stored ones.
 
-use std::collections::VecDeque;
+use std::collections::{HashSet, VecDeque};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Sender, channel};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 
@@ -10,13 +10,14 @@ use dril_stage_api::{Artifact, Output};
 use serde_json::json;
 
 use super::context::RunContext;
+use super::execute::check_resources;
 use super::executed::ExecError;
 use super::failure::Failure;
 use super::inputs;
 use super::job::{job, outside};
 use super::options::Options;
 use super::publish::{check_output, import, output_path};
-use super::resources::Pool;
+use super::resources::{Pool, Units};
 use super::runner::{Exit, Launch, Runner};
 use crate::fsx::{self, Lock};
 use crate::plan::{Plan, Verdict};
@@ -54,7 +55,7 @@ impl RecheckOutcome {
 /// outputs that differ are kept in this check's run folder.
 ///
 /// # Errors
-/// The store cannot be used.
+/// The store cannot be used, or a stage asks for more of a resource than there is.
 pub fn recheck(
     plan: &Plan<'_>,
     store: &Store,
@@ -63,6 +64,7 @@ pub fn recheck(
     stop: &AtomicBool,
     sink: &mut dyn FnMut(StageIndex, &RecheckOutcome),
 ) -> Result<Vec<(StageIndex, RecheckOutcome)>, ExecError> {
+    check_resources(plan.graph, plan.steps.iter().map(|(stage, _)| *stage), &options.resources)?;
     let run = Arc::new(store.begin_run(&json!({
         "version": 1, "pipeline": plan.graph.pipeline, "profile": plan.graph.profile, "check": true,
         "fingerprint": Fingerprint::current(),
@@ -102,22 +104,18 @@ fn recheck_all(
     context: RunContext<'_>,
     sink: &mut dyn FnMut(StageIndex, &RecheckOutcome),
 ) -> Vec<(StageIndex, RecheckOutcome)> {
-    let queue = Mutex::new(queue);
-    let threads = Threads::new(context.options.threads.max(1));
+    let queue = Queue::new(queue, context);
     let mut outcomes = Vec::new();
     std::thread::scope(|scope| {
         let (sender, receiver) = channel();
-        for _ in 0..context.options.threads.max(1) {
+        for _ in 0..queue.threads {
             let sender: Sender<(StageIndex, RecheckOutcome)> = sender.clone();
-            let (queue, threads) = (&queue, &threads);
+            let queue = &queue;
             scope.spawn(move || {
-                while let Some((stage, key)) =
-                    queue.lock().unwrap_or_else(PoisonError::into_inner).pop_front()
-                {
-                    let taken = threads.take(context.graph.stages[stage].needs.threads);
-                    let outcome = recheck_stage(stage, &key, run, done, context);
-                    threads.give_back(taken);
-                    if sender.send((stage, outcome)).is_err() {
+                while let Some(turn) = queue.next() {
+                    let outcome = recheck_stage(&turn, run, done, context);
+                    queue.give_back(&turn);
+                    if sender.send((turn.stage, outcome)).is_err() {
                         break;
                     }
                 }
@@ -133,26 +131,28 @@ fn recheck_all(
 }
 
 fn recheck_stage(
-    stage: StageIndex,
-    key: &Key,
+    turn: &Turn,
     run: &Run,
     done: &[Option<Arc<Outputs>>],
     context: RunContext<'_>,
 ) -> RecheckOutcome {
-    let folder = run.temporary().join(key.hex());
-    let outcome = run_and_compare(stage, key, run, &folder, done, context);
+    if context.halt.load(Ordering::Relaxed) {
+        return RecheckOutcome::Stopped;
+    }
+    let folder = run.temporary().join(turn.key.hex());
+    let outcome = run_and_compare(turn, run, &folder, done, context);
     let _ = fsx::remove_dir_all(&folder);
     outcome.unwrap_or_else(RecheckOutcome::Failed)
 }
 
 fn run_and_compare(
-    stage: StageIndex,
-    key: &Key,
+    Turn { stage, key, units }: &Turn,
     run: &Run,
     folder: &Path,
     done: &[Option<Arc<Outputs>>],
     context: RunContext<'_>,
 ) -> Result<RecheckOutcome, Failure> {
+    let stage = *stage;
     let node = &context.graph.stages[stage];
     let Some(outputs) = &done[stage.index()] else { return Ok(RecheckOutcome::Same) };
     if node.ports.outside.is_some() {
@@ -165,7 +165,6 @@ fn run_and_compare(
     let (mut job, placed) = job(node, key, folder, done, context);
     inputs::lay_out(&placed, context.store)?;
     let lock = Lock::acquire(&folder.join("lock"))?;
-    let units = Pool::new(&context.options.resources).take(stage, &node.resources);
     // Checkpoints of its own: what the first run left must not help the second.
     job.checkpoints = folder.join("again").join("files");
     let launch = Launch {
@@ -175,7 +174,7 @@ fn run_and_compare(
         log: &run.log(&context.log_name(stage, Some(key))),
         folder,
         threads: node.needs.threads.max(1),
-        units: &units,
+        units,
         stop: context.halt,
         grace: context.options.grace,
         limits: node.limits,
@@ -187,7 +186,7 @@ fn run_and_compare(
         let path = output_path(folder, output.name, output.extension);
         check_output(output, &path)?;
         let Some(stored) = outputs.get(output.name) else { continue };
-        if let Some(differs) = compare(output, &path, stored, key, run, context.store)? {
+        if let Some(differs) = compare(output, &path, stored, (stage, key), run, context.store)? {
             return Ok(differs);
         }
     }
@@ -199,7 +198,7 @@ fn compare(
     output: &Output,
     path: &Path,
     stored: &Stored,
-    key: &Key,
+    (stage, key): (StageIndex, &Key),
     run: &Run,
     store: &Store,
 ) -> Result<Option<RecheckOutcome>, Failure> {
@@ -211,36 +210,77 @@ fn compare(
         return Ok(None);
     }
     let at = if stored.folder { 0 } else { fsx::first_difference(path, &store.blob_path(&stored.digest))? };
-    let name = format!("{}-{}.{}", key.short(), output.name, output.extension);
+    let name = format!("{}-{}-{}.{}", key.short(), stage.index(), output.name, output.extension);
     let kept = run.folder().join("differs").join(name);
     fsx::rename_into(path, &kept)?;
     Ok(Some(RecheckOutcome::Differs { output: output.name.to_owned(), at, path: kept }))
 }
 
-/// Threads that stages share.
-struct Threads {
-    all: usize,
-    free: Mutex<usize>,
+/// The stages that are left, and the threads and units that are free.
+struct Queue<'a> {
+    context: RunContext<'a>,
+    threads: usize,
+    state: Mutex<State>,
     changed: Condvar,
 }
 
-impl Threads {
-    fn new(all: usize) -> Self {
-        Self { all, free: Mutex::new(all), changed: Condvar::new() }
+struct State {
+    left: VecDeque<(StageIndex, Key)>,
+    /// Of the stages that run: those with the same key use the same folder, one after the other.
+    keys: HashSet<Key>,
+    threads: usize,
+    pool: Pool,
+}
+
+/// A stage whose turn it is, with what it may use.
+struct Turn {
+    stage: StageIndex,
+    key: Key,
+    units: Units,
+}
+
+impl<'a> Queue<'a> {
+    fn new(left: VecDeque<(StageIndex, Key)>, context: RunContext<'a>) -> Self {
+        let threads = context.options.threads.max(1);
+        let state =
+            State { left, keys: HashSet::new(), threads, pool: Pool::new(&context.options.resources) };
+        Self { context, threads, state: Mutex::new(state), changed: Condvar::new() }
     }
 
-    /// Waits until that many are free; a stage that wants more than there are gets all.
-    fn take(&self, wanted: usize) -> usize {
-        let wanted = wanted.clamp(1, self.all);
-        let free = self.free.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut free =
-            self.changed.wait_while(free, |free| *free < wanted).unwrap_or_else(PoisonError::into_inner);
-        *free -= wanted;
-        wanted
+    /// The threads of a stage; one that wants more than there are gets all.
+    fn wanted(&self, stage: StageIndex) -> usize {
+        self.context.graph.stages[stage].needs.threads.clamp(1, self.threads)
     }
 
-    fn give_back(&self, taken: usize) {
-        *self.free.lock().unwrap_or_else(PoisonError::into_inner) += taken;
+    /// Waits for the next stage that can run; `None` where none is left.
+    fn next(&self) -> Option<Turn> {
+        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        loop {
+            if state.left.is_empty() {
+                return None;
+            }
+            let fits = |(stage, key): &(StageIndex, Key)| {
+                self.wanted(*stage) <= state.threads
+                    && !state.keys.contains(key)
+                    && state.pool.has(&self.context.graph.stages[*stage].resources)
+            };
+            if let Some(at) = state.left.iter().position(fits) {
+                let (stage, key) = state.left.remove(at)?;
+                state.keys.insert(key);
+                state.threads -= self.wanted(stage);
+                let units = state.pool.take(stage, &self.context.graph.stages[stage].resources);
+                return Some(Turn { stage, key, units });
+            }
+            // No stage wants more than there is in all, so the next one can run at the latest when no other one does.
+            state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    fn give_back(&self, turn: &Turn) {
+        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        state.keys.remove(&turn.key);
+        state.threads += self.wanted(turn.stage);
+        state.pool.give_back(turn.stage);
         self.changed.notify_all();
     }
 }

@@ -4,7 +4,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::sync::mpsc::SyncSender;
+use std::sync::mpsc::{SendError, SyncSender};
 use std::time::{Duration, Instant};
 
 use dril_stage_api::{Job, Kind, Message, Ports};
@@ -13,7 +13,6 @@ use super::context::RunContext;
 use super::failure::{Failure, FailureKind};
 use super::inputs::{self, Placed};
 use super::job::{job, outside, record};
-use super::options::POLL_INTERVAL;
 use super::publish;
 use super::resources::Units;
 use super::runner::{Exit, Launch};
@@ -30,6 +29,8 @@ pub(super) struct Task<'a> {
     lock: Lock,
     /// The units of counted resources that it holds.
     units: Units,
+    /// How often it was tried again.
+    retries: u32,
     run: Arc<Run>,
     job: Job,
     ports: &'a Ports,
@@ -50,7 +51,7 @@ pub(super) struct Task<'a> {
 }
 
 /// Events that a worker sends to the dispatcher.
-pub(super) enum WorkerEvent {
+pub(super) enum WorkerEvent<'a> {
     /// A message of the stage.
     Message(StageIndex, Message),
     /// The stage ended with success, and its outputs can be read: stages that wait for them can start. A crash before
@@ -62,9 +63,9 @@ pub(super) enum WorkerEvent {
     Failed(StageIndex, Failure),
     /// This process stood still for so long that another machine has the work now: it waits for that result.
     TakenOver(StageIndex),
-    /// It failed and will be tried again after a pause.
+    /// It failed and is to be tried again after a pause: [`Task::again`].
     Retrying {
-        stage: StageIndex,
+        task: Box<Task<'a>>,
         /// The number of the next try, from 1.
         retry: u32,
         failure: Failure,
@@ -108,6 +109,7 @@ impl<'a> Task<'a> {
             key,
             lock,
             units,
+            retries: 0,
             run,
             folder,
         }
@@ -115,12 +117,20 @@ impl<'a> Task<'a> {
 
     /// Builds the stage, publishes its outputs, and reports every step. The dispatcher may be gone by then, so failed sends
     /// are ignored.
-    pub fn work(mut self, context: RunContext<'_>, events: &SyncSender<WorkerEvent>) {
+    pub fn work(mut self, context: RunContext<'_>, events: &SyncSender<WorkerEvent<'a>>) {
         let stage = self.stage;
         let send = |event| drop(events.send(event));
         // A panic in a runner must not leave the dispatcher waiting forever.
-        let built = catch_unwind(AssertUnwindSafe(|| self.build_with_retries(context, &send)));
-        let built = built.unwrap_or(Err(Failure::Panicked));
+        let built = catch_unwind(AssertUnwindSafe(|| self.build(context, &send)));
+        let built = match built {
+            Ok(Err(failure)) if self.may_retry(&failure) => {
+                if !context.halt.load(Ordering::Relaxed) {
+                    return self.try_again(failure, events);
+                }
+                Ok(Attempt::Stopped)
+            }
+            built => built.unwrap_or(Err(Failure::Panicked)),
+        };
         // Where that cannot be found out, the store cannot be written either.
         let taken_over = !self.lock.is_ours().unwrap_or(true);
         match built {
@@ -133,39 +143,40 @@ impl<'a> Task<'a> {
                 send(WorkerEvent::Committed(stage, committed.map(|()| took)));
             }
         }
+        self.give_up();
+    }
+
+    /// Removes its folder and releases its key.
+    pub fn give_up(self) {
         self.run.clear(&self.folder);
         let _ = self.lock.remove();
     }
 
-    /// Tries as often as its `retries` allow. A problem of the store is not retried: it would not go away.
-    fn build_with_retries(
-        &mut self,
-        context: RunContext<'_>,
-        send: &dyn Fn(WorkerEvent),
-    ) -> Result<Attempt, Failure> {
-        let stage = self.stage;
-        let mut retry = 0;
-        loop {
-            let failure = match self.build(context, send) {
-                Err(failure) if failure.kind() != FailureKind::Store && retry < self.limits.retries => {
-                    failure
-                }
-                other => return other,
-            };
-            retry += 1;
-            let pause = self.limits.pause_before(retry);
-            send(WorkerEvent::Retrying { stage, retry, failure, pause });
-            let began = Instant::now();
-            while began.elapsed() < pause {
-                if context.halt.load(Ordering::Relaxed) {
-                    return Ok(Attempt::Stopped);
-                }
-                std::thread::sleep(POLL_INTERVAL.min(pause - began.elapsed().min(pause)));
-            }
+    pub fn stage(&self) -> StageIndex {
+        self.stage
+    }
+
+    /// The same task, for its next try with these units of counted resources.
+    pub fn again(self, units: Units) -> Self {
+        Self { units, ..self }
+    }
+
+    /// True where its `retries` allow another try. A problem of the store is not retried: it would not go away.
+    fn may_retry(&self, failure: &Failure) -> bool {
+        failure.kind() != FailureKind::Store && self.retries < self.limits.retries
+    }
+
+    /// Hands itself to the dispatcher: during the pause, other stages use its threads and units. It keeps its key.
+    fn try_again(mut self, failure: Failure, events: &SyncSender<WorkerEvent<'a>>) {
+        self.retries += 1;
+        let (retry, pause) = (self.retries, self.limits.pause_before(self.retries));
+        let unsent = events.send(WorkerEvent::Retrying { task: Box::new(self), retry, failure, pause });
+        if let Err(SendError(WorkerEvent::Retrying { task, .. })) = unsent {
+            task.give_up();
         }
     }
 
-    fn build(&mut self, context: RunContext<'_>, send: &dyn Fn(WorkerEvent)) -> Result<Attempt, Failure> {
+    fn build(&mut self, context: RunContext<'_>, send: &dyn Fn(WorkerEvent<'a>)) -> Result<Attempt, Failure> {
         for file in &self.files {
             let inside = file.folder.iter().flat_map(|folder| folder.files().map(|(_, file)| file.digest));
             self.run.rely_on([], inside.chain([file.digest]))?;

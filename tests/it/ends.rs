@@ -116,3 +116,66 @@ fn a_stage_that_is_not_deterministic_is_named_with_its_output() {
         ended.stdout
     );
 }
+
+/// Two stages that each wait, whenever they run, until the other one runs.
+fn waiting(more: &str) -> Sealed {
+    let sealed = Sealed::new();
+    let list = sealed.path("list").display().to_string();
+    let stage = |own: &str, other: &str| {
+        format!(
+            "  {own}:
+    kind: command
+{more}    with:
+      shell: |
+        echo {own} $$CUDA_VISIBLE_DEVICES >> {list}
+        own=$$(grep -c ^{own} {list})
+        for i in $$(seq 100); do test $$(grep -c ^{other} {list}) -ge $$own && break; sleep 0.05; done
+        test $$(grep -c ^{other} {list}) -ge $$own
+        echo x > {{outputs.t}}
+      outputs: {{ t: t }}
+"
+        )
+    };
+    sealed.write("p.yaml", &format!("name: p\nstages:\n{}{}", stage("one", "two"), stage("two", "one")));
+    sealed
+}
+
+#[test]
+fn a_check_runs_stages_side_by_side_with_units_of_their_own() {
+    let sealed = waiting("    resources: { gpu: 1 }\n");
+    let args = ["run", "p.yaml", "-j2", "--resources", "gpu=2", "--check-determinism"];
+    let ended = crate::programs::run(&sealed, &args);
+    assert!(ended.code == 0 && ended.stdout.contains("2 stages produced the same bytes twice"), "{ended:?}");
+    let list = sealed.read("list");
+    let mut units: Vec<&str> = list.lines().skip(2).map(|line| &line[4..]).collect();
+    units.sort_unstable();
+    assert_eq!(units, ["0", "1"], "{list}");
+}
+
+#[test]
+fn a_check_keeps_to_the_units_of_a_resource() {
+    let sealed = Sealed::new();
+    let alone = sealed.path("alone").display().to_string();
+    let shell = |text: &str| format!("mkdir {alone}; sleep 0.3; rmdir {alone}; echo {text} > {{outputs.t}}");
+    let stage = |name: &str| {
+        format!(
+            "  {name}: {{ kind: command, resources: {{ licence: 1 }}, with: {{ shell: '{}', outputs: {{ t: t }} }} }}\n",
+            shell(name)
+        )
+    };
+    sealed.write("p.yaml", &format!("name: p\nstages:\n{}{}{}", stage("a"), stage("b"), stage("c")));
+    let ended = crate::programs::run(&sealed, &["run", "p.yaml", "-j3", "--check-determinism"]);
+    assert!(ended.code == 0 && ended.stdout.contains("3 stages produced the same bytes twice"), "{ended:?}");
+}
+
+#[test]
+fn a_check_of_two_stages_with_one_key_runs_each_in_a_folder_of_its_own() {
+    let stage = |name: &str| {
+        format!(
+            "  {name}: {{ kind: command, with: {{ shell: 'sleep 0.5; echo x > {{outputs.t}}', outputs: {{ t: t }} }} }}\n"
+        )
+    };
+    let sealed = Sealed::with(&format!("name: p\nstages:\n{}{}", stage("a"), stage("b")));
+    let ended = crate::programs::run(&sealed, &["run", "p.yaml", "-j2", "--check-determinism"]);
+    assert!(ended.code == 0 && ended.stdout.contains("2 stages produced the same bytes twice"), "{ended:?}");
+}
