@@ -13,6 +13,7 @@ mod lease;
 mod lease_file;
 mod links;
 mod lock;
+mod remove;
 mod tail;
 
 pub use std::fs::File;
@@ -25,12 +26,13 @@ pub use copies::{Made, clone_file, copy_with_mode, is_in_other_hands};
 pub use dir::{Dir, rename_new};
 use fault::step;
 pub use folder::{
-    Inside, Links, Outside, Stat, What, holds_at_most, is_plain_target, nothing, outside, put, relative,
-    settle_links, walk,
+    Inside, Links, Outside, Stat, What, holds_at_most, is_plain_target, newest, nothing, outside, own_above,
+    put, relative, settle_links, walk,
 };
 pub use lease_file::RUN as RUN_PATIENCE;
-pub use links::{be_a_file, link_target, real, symlink, symlink_into};
+pub use links::{TemporaryLink, be_a_file, link_target, real, symlink, symlink_into, temporary_link};
 pub use lock::{Lock, announced};
+pub use remove::remove_dir_all;
 pub use tail::{each_line, tail};
 
 /// An operation failed: what was tried on which path, and the system's error.
@@ -134,10 +136,9 @@ pub fn is_executable(path: &Path) -> Result<bool> {
     Ok(meta.permissions().mode() & 0o111 != 0)
 }
 
-/// Sets the modification time of a file to now.
+/// Sets the modification time of a file to now. Enough for that is the right to write the file, which may belong to another user.
 pub fn touch(path: &Path) -> Result<()> {
-    let file = OpenOptions::new().append(true).open(path).map_err(FsError::at("open", path))?;
-    file.set_modified(std::time::SystemTime::now()).map_err(FsError::at("touch", path))
+    heartbeat::touch(path).map_err(FsError::at("touch", path))
 }
 
 /// Opens a regular file for reading.
@@ -221,15 +222,6 @@ pub fn refresh(folder: &Path) -> Result<()> {
 pub fn remove_file(path: &Path) -> Result<bool> {
     step("remove", path)?;
     Ok(if_there("remove", path, std::fs::remove_file(path))?.is_some())
-}
-
-/// Removes a folder with its contents; a missing one is fine.
-///
-/// # Errors
-/// It is there and cannot be removed.
-pub fn remove_dir_all(path: &Path) -> Result<()> {
-    step("remove", path)?;
-    if_there("remove the folder", path, std::fs::remove_dir_all(path)).map(drop)
 }
 
 /// The paths in a folder, sorted; empty where there is no folder.

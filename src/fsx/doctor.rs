@@ -165,7 +165,7 @@ fn time(at: &Path) -> io::Result<Check> {
     let began = Instant::now();
     let after = loop {
         std::thread::sleep(Duration::from_millis(50));
-        if !heartbeat::touch(&path) {
+        if heartbeat::touch(&path).is_err() {
             return Err(io::Error::other("a file cannot be touched"));
         }
         let now = std::fs::metadata(&path)?.modified()?;

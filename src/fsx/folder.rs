@@ -4,6 +4,7 @@ use std::fs::Metadata;
 use std::io;
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
+use std::time::SystemTime;
 
 use super::{FsError, Result, create_dir_all, step};
 
@@ -60,6 +61,33 @@ fn left_of(folder: &Path, bytes: u64, depth: usize) -> Option<u64> {
         }
     }
     Some(left)
+}
+
+/// The latest modification time of a file or folder and of everything below it, links not followed; `None` where there is
+/// nothing. A folder's own time does not change when a file in it is overwritten.
+///
+/// # Errors
+/// It cannot be read. What disappears meanwhile is not an error.
+pub fn newest(path: &Path) -> Result<Option<SystemTime>> {
+    let mut newest = super::modified(path)?;
+    let mut open = vec![(path.to_owned(), 0)];
+    while let Some((folder, depth)) = open.pop() {
+        let entries = match std::fs::read_dir(&folder) {
+            Ok(entries) => entries,
+            Err(error) if matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) => {
+                continue;
+            }
+            Err(error) => return Err(FsError::at("list", &folder)(error)),
+        };
+        for entry in entries {
+            let path = entry.map_err(FsError::at("list", &folder))?.path();
+            newest = newest.max(super::modified(&path)?);
+            if depth < DEEPEST && path.symlink_metadata().is_ok_and(|meta| meta.is_dir()) {
+                open.push((path, depth + 1));
+            }
+        }
+    }
+    Ok(newest)
 }
 
 /// The type of a file from outside, links followed.
@@ -191,8 +219,37 @@ fn link(root: &Path, inside: &Path, links: Links) -> Result<What> {
     }
 }
 
-/// Makes the links in a folder independent of where the folder lies: those that lead inside it lead there by the shortest
-/// way, those that lead to a file outside become copies of it.
+/// Gives the owner of a folder, which is no link, all permissions on it: what is in a folder can be moved only with them.
+fn own(folder: &Path) -> Result<()> {
+    let meta = std::fs::symlink_metadata(folder).map_err(FsError::at("access", folder))?;
+    let mode = meta.permissions().mode();
+    if !meta.is_dir() || mode & 0o700 == 0o700 {
+        return Ok(());
+    }
+    let rights = std::fs::Permissions::from_mode(mode & 0o7777 | 0o700);
+    std::fs::set_permissions(folder, rights).map_err(FsError::at("make writable", folder))
+}
+
+/// Gives the owner all permissions on the folder `root` and on the folders between it and `inside`, a path in it. What is missing
+/// there is no error.
+///
+/// # Errors
+/// They belong to another user.
+pub fn own_above(root: &Path, inside: &Path) -> Result<()> {
+    own(root)?;
+    let mut folder = root.to_owned();
+    for part in inside.parent().unwrap_or(Path::new("")).components() {
+        folder.push(part);
+        match own(&folder) {
+            Err(error) if error.is_not_found() => break,
+            result => result?,
+        }
+    }
+    Ok(())
+}
+
+/// Makes an output folder ready to be stored: its folders are writable, and its links independent of where it lies: those that
+/// lead inside it lead there by the shortest way, those that lead to a file outside become copies of it.
 ///
 /// # Errors
 /// As [`walk`]; or the folder cannot be written.
@@ -202,6 +259,7 @@ pub fn settle_links(root: &Path) -> Result<()> {
     let mut found = Vec::new();
     while let Some(folder) = open.pop() {
         let path = root.join(&folder);
+        own(&path)?;
         for entry in std::fs::read_dir(&path).map_err(FsError::at("list", &path))? {
             let entry = entry.map_err(FsError::at("list", &path))?;
             let kind = entry.file_type().map_err(FsError::at("access", &entry.path()))?;

@@ -1,5 +1,6 @@
 //! The sign of life of all leases of this process: one thread touches their files, and notices those that were taken over.
 
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
@@ -52,10 +53,12 @@ impl Beat {
         let began = clock::since_boot();
         match Seen::at(&self.path) {
             Ok(Some(seen)) if seen.text() == self.text => {
-                if touch(&self.path) {
+                if touch(&self.path).is_ok() {
                     self.last.store(began, Ordering::SeqCst);
                 }
-                self.also.get().map(|path| touch(path));
+                if let Some(path) = self.also.get() {
+                    let _ = touch(path);
+                }
             }
             Ok(_) => {
                 self.lost.store(true, Ordering::SeqCst);
@@ -105,8 +108,8 @@ fn lock() -> std::sync::MutexGuard<'static, Vec<Arc<Beat>>> {
 }
 
 /// Sets the time of a file to that of its file server.
-pub(super) fn touch(path: &Path) -> bool {
+pub(super) fn touch(path: &Path) -> io::Result<()> {
     let now = Timespec { tv_sec: 0, tv_nsec: UTIME_NOW };
     let times = Timestamps { last_access: now, last_modification: now };
-    utimensat(CWD, path, &times, AtFlags::empty()).is_ok()
+    Ok(utimensat(CWD, path, &times, AtFlags::empty())?)
 }

@@ -1,6 +1,11 @@
 //! Symbolic links: made, read, and put out of the way.
 
+use std::io::ErrorKind;
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
+use std::sync::Once;
+
+use rustix::process::{Pid, geteuid, test_kill_process};
 
 use super::{FsError, Result, copy_atomic, create_dir_all};
 
@@ -34,4 +39,49 @@ pub fn link_target(path: &Path) -> Option<PathBuf> {
 /// The path without links in it; `None` where there is no such path.
 pub fn real(path: &Path) -> Option<PathBuf> {
     path.canonicalize().ok()
+}
+
+/// A symbolic link that is removed when this is dropped.
+#[derive(Debug)]
+pub struct TemporaryLink(tempfile::TempPath);
+
+impl TemporaryLink {
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        &self.0
+    }
+}
+
+/// The start of the names of temporary links; the number of their process follows.
+const TEMPORARY: &str = "dril-";
+/// A longer folder for temporary files is not used for them: they are there to be short.
+const LONGEST: usize = 32;
+
+/// Makes a short path to the absolute path `to`: a link with a name of its own in the folder for temporary files. The first call
+/// removes those that dead processes left, whose folders are gone. `None` where no link can be made.
+pub fn temporary_link(to: &Path) -> Option<TemporaryLink> {
+    static ONCE: Once = Once::new();
+    let usual = std::env::temp_dir();
+    let short = usual.is_absolute() && usual.as_os_str().len() <= LONGEST;
+    let folder = if short { usual } else { PathBuf::from("/tmp") };
+    ONCE.call_once(|| remove_dead_links(&folder));
+    let prefix = format!("{TEMPORARY}{}-", std::process::id());
+    let make = |at: &Path| std::os::unix::fs::symlink(to, at);
+    let made = tempfile::Builder::new().prefix(&prefix).make_in(&folder, make).ok()?;
+    Some(TemporaryLink(made.into_temp_path()))
+}
+
+/// Removes this user's links whose process is dead and whose folder is gone.
+fn remove_dead_links(folder: &Path) {
+    let own = geteuid().as_raw();
+    for path in super::list(folder).unwrap_or_default() {
+        let name = path.file_name().and_then(|name| name.to_str()?.strip_prefix(TEMPORARY));
+        let owner = name.and_then(|name| Pid::from_raw(name.split('-').next()?.parse().ok()?));
+        let Some(owner) = owner else { continue };
+        let is_own = path.symlink_metadata().is_ok_and(|meta| meta.is_symlink() && meta.uid() == own);
+        let is_gone = || std::fs::metadata(&path).is_err_and(|error| error.kind() == ErrorKind::NotFound);
+        if is_own && test_kill_process(owner) == Err(rustix::io::Errno::SRCH) && is_gone() {
+            let _ = super::remove_file(&path);
+        }
+    }
 }

@@ -107,6 +107,9 @@ impl RunFingerprint {
         {
             return Ok(None);
         }
+        // The history may have other keys as the latest ones: those of the last run with other choices. It is touched, too, for
+        // versions of this program that look only there.
+        store.touch_complete_run(&self.name);
         store.touch_history(&note.pipeline, &note.profile);
         let Note { pipeline, profile, results, result_files, .. } = note;
         Ok(Some(UpToDate { pipeline, profile, stages: complete.stages, results, result_files }))

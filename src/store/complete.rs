@@ -7,6 +7,8 @@
 //! then digest and length of each.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
+use std::time::SystemTime;
 
 use rayon::prelude::*;
 
@@ -26,13 +28,23 @@ pub struct CompleteRun {
     pub contents: BTreeMap<Digest, u64>,
 }
 
+/// A complete run as `gc` sees it.
+pub(super) struct KeptRun {
+    /// Its file.
+    pub path: PathBuf,
+    /// When it was last found to be still complete.
+    pub used: SystemTime,
+    /// The keys of its results; none where the file is damaged.
+    pub keys: BTreeSet<Key>,
+}
+
 impl Store {
     /// The complete run that was stored under `name` and made from the same; `None` where there is none or something that it
     /// lists is missing.
     pub fn complete_run(&self, name: &Digest, made_from: &Digest) -> Result<Option<CompleteRun>, StoreError> {
         let path = self.root().join("settled-v1").join(name.hex());
         let Some(bytes) = fsx::read_if_there(&path)? else { return Ok(None) };
-        let Some(complete) = decode(&bytes, made_from) else { return Ok(None) };
+        let Some(complete) = decode(&bytes, Some(made_from)) else { return Ok(None) };
         let keys: Vec<&Key> = complete.keys.iter().collect();
         let contents: Vec<(&Digest, &u64)> = complete.contents.iter().collect();
         let keys = keys.par_iter().map(|key| self.has_record(key));
@@ -53,12 +65,32 @@ impl Store {
         let path = folder.join(name.hex());
         let bytes = encode(complete, made_from);
         if fsx::read_if_there(&path)?.as_deref() == Some(&*bytes) {
+            self.touch_complete_run(name);
             return Ok(());
         }
         fsx::create_dir_all(&folder)?;
         let draft = folder.join(format!("{name}.{}", std::process::id()));
         fsx::write(&draft, &bytes)?;
         Ok(fsx::rename(&draft, &path)?)
+    }
+
+    /// Marks the results of a complete run as used now, for `gc`. A store that cannot be written is not an error.
+    pub fn touch_complete_run(&self, name: &Digest) {
+        let _ = fsx::touch(&self.root().join("settled-v1").join(name.hex()));
+    }
+
+    /// Every complete run that is stored.
+    pub(super) fn complete_runs(&self) -> Result<Vec<KeptRun>, StoreError> {
+        let mut all = Vec::new();
+        for path in fsx::list(&self.root().join("settled-v1"))? {
+            // Another process may replace or remove it meanwhile.
+            let (Some(used), Some(bytes)) = (fsx::modified(&path)?, fsx::read_if_there(&path)?) else {
+                continue;
+            };
+            let keys = decode(&bytes, None).map(|complete| complete.keys).unwrap_or_default();
+            all.push(KeptRun { path, used, keys });
+        }
+        Ok(all)
     }
 }
 
@@ -80,10 +112,11 @@ fn encode(complete: &CompleteRun, made_from: &Digest) -> Vec<u8> {
     [Digest::of(&body).as_bytes(), &*body].concat()
 }
 
-fn decode(bytes: &[u8], made_from: &Digest) -> Option<CompleteRun> {
+/// A complete run that was made from `made_from`, if given.
+fn decode(bytes: &[u8], made_from: Option<&Digest>) -> Option<CompleteRun> {
     let (digest, body) = bytes.split_first_chunk::<32>()?;
     let (from, rest) = body.split_first_chunk::<32>()?;
-    if from != made_from.as_bytes() || Digest::of(body).as_bytes() != digest {
+    if made_from.is_some_and(|wanted| from != wanted.as_bytes()) || Digest::of(body).as_bytes() != digest {
         return None;
     }
     let mut rest = rest;
@@ -128,13 +161,13 @@ mod tests {
             contents: [(Digest::new([3; 32]), 7)].into(),
         };
         let bytes = encode(&complete, &from);
-        assert_eq!(decode(&bytes, &from), Some(complete));
-        assert_eq!(decode(&bytes, &Digest::of(b"others")), None);
+        assert_eq!(decode(&bytes, Some(&from)), Some(complete));
+        assert_eq!(decode(&bytes, Some(&Digest::of(b"others"))), None);
         for cut in 0..bytes.len() {
-            assert_eq!(decode(&bytes[..cut], &from), None, "{cut}");
+            assert_eq!(decode(&bytes[..cut], None), None, "{cut}");
             let mut bent = bytes.clone();
             bent[cut] ^= 1;
-            assert_eq!(decode(&bent, &from), None, "{cut}");
+            assert_eq!(decode(&bent, None), None, "{cut}");
         }
     }
 

@@ -109,12 +109,7 @@ impl Store {
 
     /// Moves a damaged blob to quarantine, so that it is rebuilt when needed.
     fn put_aside(&self, path: PathBuf) -> Result<StoreError, FsError> {
-        let name = path.strip_prefix(self.root()).unwrap_or(&path).to_string_lossy().replace('/', "-");
-        match fsx::rename_into(&path, &self.root().join("quarantine-v1").join(name)) {
-            // Another process was faster.
-            Err(error) if error.is_not_found() => {}
-            result => drop(result?),
-        }
+        self.quarantine(&path)?;
         Ok(StoreError::Damaged(path))
     }
 }

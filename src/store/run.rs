@@ -8,7 +8,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use serde_json::Value;
 
 use super::{Store, StoreError};
-use crate::fsx::{self, Lock};
+use crate::fsx::{self, FsError, Lock};
 
 /// Folders that a run needs; those for blobs and records are created when needed.
 const FOLDERS: [&str; 3] = ["locks-v1", "checkpoints-v1", "tmp"];
@@ -41,7 +41,7 @@ impl Store {
         // Creating and removing private folders needs the gate: otherwise a new folder could be mistaken for a dead one before
         // its lock exists.
         let gate = Lock::acquire(&tmp.join("gate"))?;
-        remove_dead(&tmp);
+        let _ = remove_dead(&tmp);
         let lock = Lock::try_acquire_run(&lock_path(&temporary))?;
         fsx::create_dir(&temporary)?;
         drop(gate);
@@ -112,10 +112,11 @@ fn lock_path(temporary: &Path) -> PathBuf {
     path.into()
 }
 
-/// Removes private folders of dead runs. This can fail for another user's folder, or while a dying stage still writes; the next
-/// run tries again. The caller has the gate.
-pub(super) fn remove_dead(tmp: &Path) {
-    let Ok(entries) = fsx::list(tmp) else { return };
+/// Removes private folders of dead runs, and returns what went wrong. This can fail for another user's folder, or while a dying
+/// stage still writes; the next run tries again. The caller has the gate.
+pub(super) fn remove_dead(tmp: &Path) -> Vec<FsError> {
+    let mut failed = Vec::new();
+    let Ok(entries) = fsx::list(tmp) else { return failed };
     let owner = |path: &Path| path.file_name()?.to_str()?.split('.').next().map(str::to_owned);
     // The files of one owner follow each other.
     for files in entries.chunk_by(|one, other| owner(one) == owner(other)) {
@@ -123,12 +124,13 @@ pub(super) fn remove_dead(tmp: &Path) {
             continue;
         };
         let folder = tmp.join(owner);
-        if let Ok(Some(lock)) = Lock::try_acquire(&lock_path(&folder))
-            && fsx::remove_dir_all(&folder).is_ok()
-        {
-            remove_lock(lock, files);
+        let Ok(Some(lock)) = Lock::try_acquire(&lock_path(&folder)) else { continue };
+        match fsx::remove_dir_all(&folder) {
+            Ok(()) => remove_lock(lock, files),
+            Err(error) => failed.push(error),
         }
     }
+    failed
 }
 
 /// Removes a lock whose owner is dead, with the files of processes that died while they took it over.

@@ -43,6 +43,8 @@ pub struct Swept {
     pub left: u64,
     /// Results that would have been removed, but a running process uses them.
     pub in_use: usize,
+    /// Private folders of dead runs that could not be removed, each with the reason: they belong to another user.
+    pub not_removed: Vec<(PathBuf, String)>,
     /// True where more than the maximum size remains, because all of it is kept or in use.
     pub too_much: bool,
 }
@@ -104,14 +106,12 @@ impl Store {
         }
         let (_held, _alone) =
             if wish.dry_run { (self.hold()?, None) } else { (None, Some(self.hold_alone()?)) };
-        if !wish.dry_run {
-            self.sweep_dead()?;
-        }
+        let not_removed = if wish.dry_run { Vec::new() } else { self.sweep_dead()? };
         // Before the current ones are read: what is new afterwards is not in the list.
         let runs = self.run_ids()?;
         let in_use = self.in_use()?;
         let mut results = self.results()?;
-        let mut swept = Swept::default();
+        let mut swept = Swept { not_removed, ..Swept::default() };
         let sizes = self.blob_sizes()?;
         let beside = match wish.max_bytes {
             Some(_) => self.beside(&in_use, &results, &runs)?,
@@ -130,17 +130,27 @@ impl Store {
         Ok(swept)
     }
 
-    /// Every result with the time of its last use, least recently used first. Every run touches the history file of its pipeline,
-    /// so its current results count as used then.
-    fn results(&self) -> Result<Vec<Result_>, StoreError> {
+    /// When results were last found by a run. Every run touches the history file of its pipeline, so its current results count as
+    /// used then; a run in which nothing changed touches the list of its results, which need not be the latest in the history.
+    fn last_uses(&self) -> Result<HashMap<Key, SystemTime>, StoreError> {
         let mut used: HashMap<Key, SystemTime> = HashMap::new();
+        let mut note = |key, time: SystemTime| {
+            let last = used.entry(key).or_insert(time);
+            *last = time.max(*last);
+        };
         for path in fsx::list(&self.root().join("history-v1"))? {
             let Some(time) = fsx::modified(&path)? else { continue };
-            for key in self.current_keys(&path)? {
-                let last = used.entry(key).or_insert(time);
-                *last = time.max(*last);
-            }
+            self.current_keys(&path)?.into_iter().for_each(|key| note(key, time));
         }
+        for run in self.complete_runs()? {
+            run.keys.into_iter().for_each(|key| note(key, run.used));
+        }
+        Ok(used)
+    }
+
+    /// Every result with the time of its last use, least recently used first.
+    fn results(&self) -> Result<Vec<Result_>, StoreError> {
+        let used = self.last_uses()?;
         let mut results = Vec::new();
         for (key, record) in self.records()? {
             let made = self.made_at(&key)?.unwrap_or(UNIX_EPOCH);
@@ -180,8 +190,8 @@ impl Store {
             }
         }
         for id in runs {
-            let began = begun_at(id).map(|since| UNIX_EPOCH + since);
-            beside.add(in_use.runs.contains(id), began, &self.root().join("runs-v1").join(id))?;
+            let path = self.root().join("runs-v1").join(id);
+            beside.add(in_use.runs.contains(id), last_written(&path, id)?, &path)?;
         }
         for path in fsx::list(&self.root().join("quarantine-v1"))? {
             beside.add(false, fsx::modified(&path)?, &path)?;
@@ -235,7 +245,7 @@ impl Store {
             let finished = key.is_some_and(|key| done.contains(&key));
             // A job goes on without an engine, and is not in use then.
             let before = if self.has_job(key)? { oldest_kept(wish) } else { before };
-            if !(finished || is_older(before, last_saved(&path)?))
+            if !(finished || before.is_some() && is_older(before, last_saved(&path)?))
                 || key.is_some_and(|key| in_use.keys.contains(&key))
             {
                 continue;
@@ -255,9 +265,9 @@ impl Store {
             }
         }
         for id in runs {
-            let began = begun_at(id).map(|since| UNIX_EPOCH + since);
-            if old(began) && !in_use.runs.contains(id) {
-                remove(&self.root().join("runs-v1").join(id), dry_run, swept)?;
+            let path = self.root().join("runs-v1").join(id);
+            if before.is_some() && !in_use.runs.contains(id) && old(last_written(&path, id)?) {
+                remove(&path, dry_run, swept)?;
                 swept.runs += 1;
             }
         }
@@ -266,15 +276,25 @@ impl Store {
                 remove(&path, dry_run, swept)?;
             }
         }
-        if !dry_run {
-            for path in fsx::list(&self.root().join("parsed-v1"))? {
-                if old(fsx::modified(&path)?) {
-                    fsx::remove_file(&path)?;
-                }
+        if dry_run { Ok(()) } else { self.sweep_derived((wish, before), swept) }
+    }
+
+    /// Removes what only saves time: memos up to a time, and the lists of complete runs whose results are gone.
+    fn sweep_derived(
+        &self,
+        (wish, before): (&Sweep, Option<SystemTime>),
+        swept: &Swept,
+    ) -> Result<(), StoreError> {
+        for path in fsx::list(&self.root().join("parsed-v1"))? {
+            if is_older(before, fsx::modified(&path)?) {
+                fsx::remove_file(&path)?;
             }
-            if !swept.records.is_empty() {
-                // These list results, some of which may have been removed.
-                fsx::remove_dir_all(&self.root().join("settled-v1"))?;
+        }
+        let removed: HashSet<Key> = swept.records.iter().map(|(key, ..)| *key).collect();
+        for run in self.complete_runs()? {
+            let is_whole = !run.keys.is_empty() && !run.keys.iter().any(|key| removed.contains(key));
+            if !is_whole || is_older(oldest_kept(wish), Some(run.used)) {
+                fsx::remove_file(&run.path)?;
             }
         }
         Ok(())
@@ -327,14 +347,15 @@ impl Store {
         Ok(fsx::entry(&self.root().join("slurm-v1").join(key.hex()))?.is_some())
     }
 
-    /// Removes locks and folders of dead runs. Before the lists of runs are read: a run of another machine that gave no sign of life
+    /// Removes locks and folders of dead runs; returns what could not be removed, and why. Before the lists of runs are read: a run of another machine that gave no sign of life
     /// for long, and goes on later, then finds its folder gone instead of relying on what is removed.
-    fn sweep_dead(&self) -> Result<(), StoreError> {
+    fn sweep_dead(&self) -> Result<Vec<(PathBuf, String)>, StoreError> {
+        let mut failed = Vec::new();
         let tmp = self.root().join("tmp");
         if fsx::entry(&tmp)?.is_some() {
             // That also makes network file systems forget what they know of this folder.
             let _gate = Lock::acquire(&tmp.join("gate"))?;
-            remove_dead(&tmp);
+            failed = remove_dead(&tmp);
         }
         let locks = fsx::list(&self.root().join("locks-v1"))?;
         for files in locks.chunk_by(|one, other| lock_of(one) == lock_of(other)) {
@@ -342,7 +363,7 @@ impl Store {
                 remove_lock(lock, files);
             }
         }
-        Ok(())
+        Ok(failed.into_iter().map(|error| (error.path, error.source.to_string())).collect())
     }
 }
 
@@ -372,10 +393,13 @@ fn choose(
     let mut items: Vec<(SystemTime, Item)> =
         results.iter().enumerate().map(|(index, result)| (result.used, Item::Result(index))).collect();
     items.extend(beside.loose.into_iter().map(|(time, bytes)| (time, Item::Beside(bytes))));
-    items.sort_by_key(|(time, _)| *time);
-    let mut before = oldest_kept(wish);
+    // Of the same moment, a log goes before the results of its run.
+    items.sort_by_key(|(time, item)| (*time, matches!(item, Item::Result(_))));
+    let oldest = oldest_kept(wish);
+    let mut before = oldest;
     for (time, item) in items {
-        let goes = is_older(before, Some(time)) || wish.max_bytes.is_some_and(|limit| total > limit);
+        let old = if matches!(item, Item::Result(_)) { oldest } else { before };
+        let goes = is_older(old, Some(time)) || wish.max_bytes.is_some_and(|limit| total > limit);
         match item {
             Item::Beside(bytes) if goes => {
                 before = before.max(Some(time));
@@ -429,9 +453,15 @@ fn key_of(path: &Path) -> Option<Key> {
     path.file_name()?.to_str()?.parse().ok()
 }
 
-/// When a checkpoint was saved last, by its folder.
+/// When a checkpoint was saved last: programs may overwrite it in place.
 fn last_saved(path: &Path) -> fsx::Result<Option<SystemTime>> {
-    Ok(fsx::modified(&path.join("files"))?.or(fsx::modified(path)?))
+    Ok(fsx::newest(&path.join("files"))?.or(fsx::modified(path)?))
+}
+
+/// When a run last wrote to its folder; `None` for a folder with another name.
+fn last_written(path: &Path, id: &str) -> fsx::Result<Option<SystemTime>> {
+    let Some(since) = begun_at(id) else { return Ok(None) };
+    Ok(fsx::newest(path)?.max(Some(UNIX_EPOCH + since)))
 }
 
 /// The lock that a file in `locks-v1` belongs to: it is named by a key, and what is beside it has an ending.

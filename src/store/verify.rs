@@ -188,11 +188,18 @@ impl Store {
         if let Damage::Writable { .. } = damage {
             return Ok(fsx::make_read_only(&fsx::open(path)?, path)?);
         }
+        Ok(self.quarantine(path)?)
+    }
+
+    /// Moves a damaged file to quarantine.
+    pub(super) fn quarantine(&self, path: &Path) -> fsx::Result<()> {
+        // `gc` keeps it for some time from now, not from when its content was written.
+        let _ = fsx::touch(path);
         let name = path.strip_prefix(self.root()).unwrap_or(path).to_string_lossy().replace('/', "-");
         match fsx::rename_into(path, &self.root().join("quarantine-v1").join(name)) {
             // Another process was faster.
             Err(error) if error.is_not_found() => Ok(()),
-            result => Ok(result.map(drop)?),
+            result => result.map(drop),
         }
     }
 }

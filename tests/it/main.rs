@@ -8,6 +8,7 @@
     reason = "clippy takes only functions marked as tests for tests, and not what they share"
 )]
 
+mod ages;
 mod bad;
 mod cache;
 mod care;
@@ -42,6 +43,7 @@ mod remote;
 mod remote_net;
 mod resolve;
 mod results;
+mod rough;
 mod samples;
 mod scenario;
 mod sealed;

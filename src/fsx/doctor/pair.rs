@@ -61,7 +61,7 @@ fn answer(place: &Path, card: &Path, patience: Duration) -> Result<Attended> {
         }
         if touched.elapsed() > TOUCH {
             touched = Instant::now();
-            heartbeat::touch(card);
+            let _ = heartbeat::touch(card);
         }
         std::thread::sleep(LOOK * 10);
     };

@@ -45,9 +45,13 @@ pub(super) fn prepare(params: &CommandParams, job: &Job) -> Result<Prepared, Sta
     let texts = Texts { params, work: &work, inputs: &inputs, seed: job.seed.0 };
     let mut process = texts.process()?;
     process.current_dir(&work).env_clear();
-    process.envs(environment(params, &texts, &work)?);
+    // The path of a socket has at most 107 bytes, and the path of the working folder alone has more.
+    let short = fsx::temporary_link(&work);
+    process.envs(environment(params, &texts, short.as_ref().map_or(&work, |short| short.path()))?);
     let (params, outputs, line) = (params.clone(), job.outputs.clone(), shown(&process));
     let finish = move |status: ExitStatus| {
+        // Links in the outputs may lead through it.
+        let _short = short;
         if status.success() { collect(&params, &outputs, &work) } else { Err(ended(&params, &line, status)) }
     };
     Ok(Prepared { process, finish: Box::new(finish) })
@@ -169,16 +173,16 @@ impl Texts<'_> {
     }
 }
 
-/// The environment of the program.
+/// The environment of the program, with this folder for temporary files.
 fn environment(
     params: &CommandParams,
     texts: &Texts<'_>,
-    work: &Path,
+    temporary: &Path,
 ) -> Result<Vec<(String, OsString)>, StageError> {
     let mut all: Vec<(String, OsString)> = FIXED.map(|(name, value)| (name.to_owned(), value.into())).into();
     let passed = ALWAYS.iter().copied().chain(params.pass_env.iter().map(String::as_str));
     all.extend(passed.filter_map(|name| Some((name.to_owned(), std::env::var_os(name)?))));
-    all.push(("TMPDIR".to_owned(), work.into()));
+    all.push(("TMPDIR".to_owned(), temporary.into()));
     all.push(("DRIL_CHECKPOINTS".to_owned(), CHECKPOINTS.into()));
     all.push(("DRIL_INPUTS".to_owned(), INPUTS.into()));
     for (name, value) in &params.env.0 {
@@ -224,6 +228,7 @@ fn collect(
     let mut wrong = Vec::new();
     for (name, output) in &params.outputs {
         let path = params.output_path(name);
+        fsx::own_above(work, Path::new(&path)).map_err(StageError::failed)?;
         let is_folder = output.artifact() == Artifact::FOLDER;
         let Some(place) = outputs.get(name) else {
             wrong.push(format!("output `{name}` has no place"));

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use crate::cli::args::GcArgs;
 use crate::cli::commands::inspect::{age, epoch, size};
-use crate::cli::terminal::{count, print, printable};
+use crate::cli::terminal::{count, print, printable, shown};
 use crate::cli::{columns, pipeline};
 use crate::error::{Error, ErrorKind};
 use crate::fsx;
@@ -86,6 +86,9 @@ fn text(swept: &Swept, dry_run: bool) -> String {
     if swept.in_use > 0 {
         text += &format!("{} remain because a running process uses them\n", count(swept.in_use, "result"));
     }
+    for (path, error) in &swept.not_removed {
+        text += &format!("could not remove {}: {}\n", shown(path), printable(error));
+    }
     if swept.too_much {
         text += "this is still more than `--max-size`: everything that remains is kept or in use\n";
     }
@@ -97,9 +100,14 @@ fn as_json(swept: &Swept, dry_run: bool) -> Value {
     let records: Vec<Value> = records
         .map(|(key, stage, used)| json!({ "key": key, "stage": stage, "used": epoch(*used) }))
         .collect();
+    let not_removed: Vec<Value> = swept
+        .not_removed
+        .iter()
+        .map(|(path, error)| json!({ "path": path.to_string_lossy(), "error": error }))
+        .collect();
     json!({
         "dry_run": dry_run, "results": records, "contents": swept.blobs, "checkpoints": swept.checkpoints,
         "jobs": swept.jobs, "runs": swept.runs, "freed": swept.freed, "left": swept.left, "in_use": swept.in_use,
-        "too_much": swept.too_much,
+        "not_removed": not_removed, "too_much": swept.too_much,
     })
 }
