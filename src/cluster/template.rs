@@ -332,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn a_list_without_jobs_is_told_from_a_scheduler_that_does_not_answer() {
+    fn a_list_without_jobs_is_distinguished_from_a_scheduler_that_does_not_answer() {
         for none in ["`bjobs`: No job found", "No unfinished job found", "No matching jobs found in queue x"]
         {
             assert!(says_no_jobs(none), "{none}");

@@ -337,7 +337,7 @@ impl<'a> Watched<'a> {
         }
     }
 
-    /// Asks the stage to stop. One that stands still is continued, so that it can.
+    /// Asks the stage to stop. A suspended one is continued, so that it can.
     fn ask(&mut self) {
         self.asked = Some(Instant::now());
         self.kill(Signal::TERM);

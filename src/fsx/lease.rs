@@ -129,7 +129,7 @@ fn create(path: &Path, patience: Duration) -> Result<Option<Lease>> {
     if !place(path, &text)? {
         return Ok(None);
     }
-    // One that stood still in between may have been taken for dead.
+    // A process suspended in between may have been taken for dead.
     let is_late = clock::since_boot().saturating_sub(began) > 1000;
     if is_late && Seen::at(path)?.is_none_or(|seen| seen.text() != text) {
         return Ok(None);

@@ -1,13 +1,14 @@
 //! What `cache gc` takes for old: the last use counts, in whatever way something was used.
 
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Command;
 
 use serde_json::{Value, json};
 
 use crate::cli::WORDS;
+use crate::group::Group;
 use crate::programs::run;
-use crate::sealed::{Ended, Sealed, ended};
+use crate::sealed::Sealed;
 
 /// Sets the times of everything at a path, and below it, back by 40 days.
 fn age(path: &Path) {
@@ -81,36 +82,13 @@ fn results_that_a_run_with_nothing_to_do_found_are_in_use() {
 
 #[test]
 fn what_another_user_of_a_shared_cache_uses_is_in_use() {
-    if !rustix::process::geteuid().is_root() || Command::new("setpriv").arg("--version").output().is_err() {
-        return;
-    }
-    let shared = Sealed::new();
-    let program = shared.path("program");
-    std::fs::copy(crate::sealed::program(), &program).unwrap();
-    let mode = std::os::unix::fs::PermissionsExt::from_mode;
-    std::fs::set_permissions(shared.path("."), mode(0o755)).unwrap();
-    std::fs::create_dir(shared.path("group")).unwrap();
-    std::os::unix::fs::chown(shared.path("group"), None, Some(3000)).unwrap();
-    std::fs::set_permissions(shared.path("group"), mode(0o2775)).unwrap();
-    for user in [1001, 1002] {
-        shared.write(&format!("{user}/p.yaml"), WORDS);
-        std::os::unix::fs::chown(shared.path(&user.to_string()), Some(user), Some(3000)).unwrap();
-    }
-    let as_user = |user: u32, args: &str| -> Ended {
-        let mut command = Command::new("sh");
-        let text = format!(
-            "umask 002; exec setpriv --reuid={user} --regid=3000 --clear-groups {} {args} --cache ../group/cache",
-            program.display()
-        );
-        command.args(["-c", &text]).current_dir(shared.path(&user.to_string())).stdin(Stdio::null());
-        ended(command)
-    };
-    assert_eq!(as_user(1001, "run p.yaml").code, 0);
+    let Some(group) = Group::with(WORDS) else { return };
+    assert_eq!(group.run(1001, "002", "run p.yaml").code, 0);
     for way in ["as a whole plan", "as a run in which nothing changed"] {
-        age(&shared.path("group/cache"));
-        assert!(as_user(1002, "run p.yaml").stdout.contains("0 stages executed"), "{way}");
+        age(&group.cache());
+        assert!(group.run(1002, "002", "run p.yaml").stdout.contains("0 stages executed"), "{way}");
         let swept: Value =
-            serde_json::from_str(&as_user(1002, "cache gc --older-than 30d --json").stdout).unwrap();
+            serde_json::from_str(&group.run(1002, "002", "cache gc --older-than 30d --json").stdout).unwrap();
         assert_eq!(swept["results"], json!([]), "{way}");
     }
 }

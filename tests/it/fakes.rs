@@ -338,7 +338,7 @@ fn mishap(params: &CountParams, step: u64, ctx: &Ctx<'_>) -> Result<(), StageErr
     match params.mishap {
         Mishap::Fail => return Err(StageError::failed(format!("told to fail at {step}"))),
         Mishap::Refuse => {
-            return Err(StageError::input("start", ctx.input("start")?, "told to refuse /etc/fakes/it"));
+            return Err(StageError::input("start", ctx.input("start")?, "set up to refuse /etc/fakes/it"));
         }
         Mishap::Panic => panic!("told to panic at {step}"),
         Mishap::Crash => {

@@ -1,4 +1,4 @@
-//! Files and folders from outside: known by content, not read again while they rest, and checked where that is asked for.
+//! Files and folders from outside: known by content, not read again while they are unchanged, and checked where that is asked for.
 
 use std::time::Duration;
 

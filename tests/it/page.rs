@@ -55,7 +55,7 @@ fn a_failure_in_a_report_names_no_folder_of_this_machine() {
         assert_eq!(failed.code, 1, "{failed:?}");
         let page = sealed.read("results/p-default/report.html");
         assert!(
-            page.contains("input `start`, <cache>/blobs-v1/") && page.contains("told to refuse …/it"),
+            page.contains("input `start`, <cache>/blobs-v1/") && page.contains("set up to refuse …/it"),
             "{page}"
         );
         for folder in [sealed.path("").as_path(), elsewhere.path()] {

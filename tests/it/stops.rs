@@ -80,7 +80,7 @@ fn a_program_that_asks_at_the_terminal_fails_at_once() {
 }
 
 #[test]
-fn a_program_that_stands_still_is_woken_to_stop() {
+fn a_suspended_program_is_continued_so_that_it_can_stop() {
     let sealed = Sealed::with(
         "name: p\nstages:\n  s: { kind: command, with: { shell: \"trap 'exit 3' TERM; : > {checkpoints}/began; kill -STOP $$$$; : {outputs.t}\", outputs: { t: t } } }\n",
     );

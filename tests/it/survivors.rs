@@ -3,8 +3,9 @@
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
+use crate::group::Group;
 use crate::programs::run;
-use crate::sealed::{Sealed, ended, signal, until};
+use crate::sealed::{Sealed, signal, until};
 
 /// Ways in which a program starts another one that is not in its process group; each notes its number in `PIDS`.
 const WAYS: [&str; 4] = [
@@ -185,42 +186,19 @@ stages:
 
 #[test]
 fn two_users_of_a_group_share_a_store() {
-    if !rustix::process::geteuid().is_root() || Command::new("setpriv").arg("--version").output().is_err() {
-        return;
-    }
-    let shared = Sealed::new();
-    let program = shared.path("program");
-    std::fs::copy(crate::sealed::program(), &program).unwrap();
-    let mode = std::os::unix::fs::PermissionsExt::from_mode;
-    std::fs::set_permissions(shared.path("."), mode(0o755)).unwrap();
-    std::fs::create_dir(shared.path("group")).unwrap();
-    std::os::unix::fs::chown(shared.path("group"), None, Some(3000)).unwrap();
-    std::fs::set_permissions(shared.path("group"), mode(0o2775)).unwrap();
-    for user in [1001, 1002] {
-        let own = format!("{user}/p.yaml");
-        shared.write(&own, "name: p\nparams: { x: 1 }\nstages:\n  s: { kind: command, with: { shell: \"mkdir -p {outputs.d}/sub; echo ${x} > {outputs.d}/sub/x\", outputs: { d: d/ } } }\n  t: { kind: command, with: { shell: \"cat {inputs.d}/sub/x > {outputs.t}\", outputs: { t: { type: table, path: t.csv } } }, inputs: { d: s } }\n");
-        std::os::unix::fs::chown(shared.path(&user.to_string()), Some(user), Some(3000)).unwrap();
-    }
-    let as_user = |user: u32, umask: &str, args: &str| {
-        let mut command = Command::new("sh");
-        let text = format!(
-            "umask {umask}; exec setpriv --reuid={user} --regid=3000 --clear-groups {} {args} --cache ../group/cache",
-            program.display()
-        );
-        command.args(["-c", &text]).current_dir(shared.path(&user.to_string())).stdin(Stdio::null());
-        ended(command)
-    };
-    assert_eq!(as_user(1001, "002", "run p.yaml").code, 0);
-    assert!(as_user(1002, "002", "run p.yaml").stdout.contains("0 stages executed"));
-    assert_eq!(as_user(1002, "002", "run p.yaml --set params.x=2").code, 0);
-    assert!(as_user(1001, "002", "run p.yaml --set params.x=2").stdout.contains("0 stages executed"));
-    assert_eq!(as_user(1002, "002", "cache gc --max-size 0K").code, 0);
-    assert_eq!(as_user(1001, "002", "cache verify").code, 0);
+    let pipeline = "name: p\nparams: { x: 1 }\nstages:\n  s: { kind: command, with: { shell: \"mkdir -p {outputs.d}/sub; echo ${x} > {outputs.d}/sub/x\", outputs: { d: d/ } } }\n  t: { kind: command, with: { shell: \"cat {inputs.d}/sub/x > {outputs.t}\", outputs: { t: { type: table, path: t.csv } } }, inputs: { d: s } }\n";
+    let Some(group) = Group::with(pipeline) else { return };
+    assert_eq!(group.run(1001, "002", "run p.yaml").code, 0);
+    assert!(group.run(1002, "002", "run p.yaml").stdout.contains("0 stages executed"));
+    assert_eq!(group.run(1002, "002", "run p.yaml --set params.x=2").code, 0);
+    assert!(group.run(1001, "002", "run p.yaml --set params.x=2").stdout.contains("0 stages executed"));
+    assert_eq!(group.run(1002, "002", "cache gc --max-size 0K").code, 0);
+    assert_eq!(group.run(1001, "002", "cache verify").code, 0);
     // Without the group's rights what is there is served, and new work is an error with path and reason.
-    std::fs::remove_dir_all(shared.path("group/cache")).unwrap();
-    assert_eq!(as_user(1001, "022", "run p.yaml").code, 0);
-    assert!(as_user(1002, "022", "run p.yaml").stdout.contains("0 stages executed"));
-    let refused = as_user(1002, "022", "run p.yaml --set params.x=2");
+    std::fs::remove_dir_all(group.cache()).unwrap();
+    assert_eq!(group.run(1001, "022", "run p.yaml").code, 0);
+    assert!(group.run(1002, "022", "run p.yaml").stdout.contains("0 stages executed"));
+    let refused = group.run(1002, "022", "run p.yaml --set params.x=2");
     assert_eq!(refused.code, 4, "{refused:?}");
     assert!(
         refused.stderr.contains("group/cache") && refused.stderr.contains("Permission denied"),

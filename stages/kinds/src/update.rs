@@ -10,8 +10,8 @@ use serde::{Deserialize, Serialize};
 pub struct UpdateParams {
     /// Number of epochs: passes over each rollout.
     pub n_epochs: u64,
-    /// Number of minibatches per epoch (their number, not their size). The size of a minibatch is the rollout's divided by
-    /// it, rounded down; where the rest is as large as a minibatch there are more, and a smaller rest is dropped.
+    /// Number of minibatches per epoch (their number, not their size). A minibatch has the size of the
+    /// rollout divided by it, rounded down. If enough samples remain, they form further minibatches; fewer are dropped.
     pub n_minibatches: u64,
     /// Clipping range ε of the surrogate objective and of the value loss.
     pub clip_range: f64,
