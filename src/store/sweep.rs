@@ -2,6 +2,7 @@
 //! never removed.
 
 use std::collections::{HashMap, HashSet};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
@@ -43,7 +44,7 @@ pub struct Swept {
     pub left: u64,
     /// Results that would have been removed, but a running process uses them.
     pub in_use: usize,
-    /// Private folders of dead runs that could not be removed, each with the reason: they belong to another user.
+    /// What could not be removed because it belongs to another user, each with the reason.
     pub not_removed: Vec<(PathBuf, String)>,
     /// True where more than the maximum size remains, because all of it is kept or in use.
     pub too_much: bool,
@@ -257,8 +258,7 @@ impl Store {
                 _ => None,
             };
             if !matches!(lock, Some(None)) && !Lock::is_held(&path.join("lock"))? {
-                remove(&path, dry_run, swept)?;
-                swept.checkpoints += 1;
+                swept.checkpoints += usize::from(remove(&path, dry_run, swept)?);
             }
             if let Some(Some(lock)) = lock {
                 lock.remove()?;
@@ -267,8 +267,7 @@ impl Store {
         for id in runs {
             let path = self.root().join("runs-v1").join(id);
             if before.is_some() && !in_use.runs.contains(id) && old(last_written(&path, id)?) {
-                remove(&path, dry_run, swept)?;
-                swept.runs += 1;
+                swept.runs += usize::from(remove(&path, dry_run, swept)?);
             }
         }
         for path in fsx::list(&self.root().join("quarantine-v1"))? {
@@ -332,8 +331,7 @@ impl Store {
             if !wish.dry_run {
                 fsx::remove_file(&jobs.join("ended").join(key.hex()))?;
             }
-            remove(&path, wish.dry_run, swept)?;
-            swept.jobs += 1;
+            swept.jobs += usize::from(remove(&path, wish.dry_run, swept)?);
             if let Some(Some(lock)) = lock {
                 lock.remove()?;
             }
@@ -470,11 +468,22 @@ fn lock_of(file: &Path) -> Option<PathBuf> {
     Some(file.with_file_name(name.split('.').next().filter(|key| !key.is_empty())?))
 }
 
-fn remove(path: &Path, dry_run: bool, swept: &mut Swept) -> fsx::Result<()> {
-    swept.freed += measure(path)?.bytes;
-    match fsx::entry(path)? {
+/// Removes a file or folder. False where that is not permitted: users of a shared cache can only remove what is their own, and
+/// the rest must not keep them from that.
+fn remove(path: &Path, dry_run: bool, swept: &mut Swept) -> fsx::Result<bool> {
+    let bytes = measure(path)?.bytes;
+    let removed = match fsx::entry(path)? {
         _ if dry_run => Ok(()),
         Some(Entry::Folder) => fsx::remove_dir_all(path),
         _ => fsx::remove_file(path).map(drop),
+    };
+    match removed {
+        Err(error) if error.source.kind() == ErrorKind::PermissionDenied => {
+            swept.not_removed.push((error.path, error.source.to_string()));
+            return Ok(false);
+        }
+        removed => removed?,
     }
+    swept.freed += bytes;
+    Ok(true)
 }

@@ -114,9 +114,15 @@ fn gc_names_what_it_cannot_remove() {
         std::os::unix::fs::PermissionsExt::from_mode(0o666),
     )
     .unwrap();
-    let ended = as_user(&sealed, ":", "cache gc").unwrap();
+    let checkpoint = format!("cache/checkpoints-v1/{}", "ab".repeat(32));
+    sealed.write(&format!("{checkpoint}/files/of-another-user"), "x");
+    let ended = as_user(&sealed, ":", "cache gc --older-than 0s").unwrap();
     assert_eq!(ended.code, 0, "{ended:?}");
-    assert!(ended.stdout.contains("could not remove") && ended.stdout.contains(dead), "{}", ended.stdout);
+    for left in [dead, &checkpoint] {
+        let named = ended.stdout.lines().any(|line| line.contains("could not remove") && line.contains(left));
+        assert!(named && sealed.path(left).exists(), "{left}: {}", ended.stdout);
+    }
+    assert!(ended.stdout.contains("0 folders of checkpoints"), "{}", ended.stdout);
     let json = as_user(&sealed, ":", "cache gc --json").unwrap().stdout;
     let json: serde_json::Value = serde_json::from_str(&json).unwrap();
     assert!(json["not_removed"][0]["path"].as_str().unwrap().ends_with(dead), "{json}");

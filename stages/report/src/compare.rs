@@ -8,7 +8,7 @@ use dril_stage_api::{Artifact, Ctx, Describe, InputItem, Ports, Problems, Stage,
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::caption::{self, Caption, statistic};
+use crate::caption::{self, Caption, divergence, statistic};
 use crate::markdown::{self, Column, escape};
 use crate::number::{fixed, precise};
 use crate::samples::{self, PORT};
@@ -16,7 +16,7 @@ use crate::score::Score;
 use crate::stats::Summary;
 
 /// The columns that follow the labels in the CSV.
-const VALUES: [&str; 6] = ["mean", "std", "episodes", "ratio", "difference", "difference_error"];
+const VALUES: [&str; 7] = ["mean", "std", "episodes", "diverged", "ratio", "difference", "difference_error"];
 
 /// Parameters of [`Compare`].
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
@@ -50,14 +50,15 @@ impl CompareParams {
 /// Input: `scores`, evaluations with the label `axis`; those that agree in all other labels are compared, and must have
 /// been played on the same list of tracks.
 ///
-/// Outputs: `csv` with the columns `<other labels>,<axis>,mean,std,episodes,ratio,difference,difference_error`, and
-/// `markdown`. `ratio` is the mean over the base's mean; `difference` is the mean over the tracks of score minus the
-/// base's score, and `difference_error` its standard error (empty for a single episode).
+/// Outputs: `csv` with the columns `<other labels>,<axis>,mean,std,episodes,diverged,ratio,difference,difference_error`,
+/// and `markdown`. `diverged` is 1 where the training of the agent diverged, so that its last finite weights were
+/// evaluated. `ratio` is the mean over the base's mean; `difference` is the mean over the tracks of score minus the base's
+/// score, and `difference_error` its standard error (empty for a single episode).
 pub struct Compare;
 
 impl Describe for Compare {
     const KIND: &'static str = "compare";
-    const REVISION: u32 = 2;
+    const REVISION: u32 = 3;
     const ABOUT: &'static str = "compares evaluations on the same tracks, with ratio and paired difference";
     const SEEDED: bool = false;
     type Params = CompareParams;
@@ -106,6 +107,13 @@ struct Evaluation<'a> {
     others: Vec<(&'a str, &'a str)>,
     rows: Vec<ScoreRow>,
     summary: Summary,
+}
+
+impl Evaluation<'_> {
+    /// True where the training of the agent diverged.
+    fn diverged(&self) -> bool {
+        self.rows.iter().any(|row| row.diverged_at_step.is_some())
+    }
 }
 
 /// An evaluation beside its base.
@@ -190,6 +198,7 @@ fn csv_text(
             precise(summary.mean),
             precise(summary.std),
             summary.episodes.to_string(),
+            u8::from(line.evaluation.diverged()).to_string(),
             fixed(line.ratio, 4),
             precise(difference),
             error.map_or_else(String::new, precise),
@@ -226,12 +235,15 @@ fn page(params: &CompareParams, names: &[&str], lines: &[Line<'_>]) -> String {
         }),
     ));
     let base = escape(&format!("{} = {}", params.axis, params.base));
-    let remarks = [
+    let diverged = lines.iter().filter(|line| line.evaluation.diverged());
+    let diverged: Vec<_> = diverged.map(|line| samples::describe(line.evaluation.item.labels)).collect();
+    let mut remarks = vec![
         statistic(lines.iter().map(|line| line.evaluation.summary.episodes)),
         format!("ratio: the mean over that of {base}"),
         format!(
             "difference: score less that of {base} on the same track, mean ± standard error over the tracks"
         ),
     ];
+    remarks.extend(divergence(&diverged));
     params.caption().page(&[], &markdown::table(&columns), &remarks)
 }

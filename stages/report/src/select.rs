@@ -16,7 +16,7 @@ const POLICY: Artifact = Artifact::new("policy", "safetensors");
 /// The name of the input with the policies.
 const CANDIDATES: &str = "candidates";
 /// The columns that follow the labels in the ranking.
-const VALUES: [&str; 4] = ["mean", "std", "episodes", "chosen"];
+const VALUES: [&str; 5] = ["mean", "std", "episodes", "diverged", "chosen"];
 
 /// The criterion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
@@ -41,13 +41,14 @@ pub struct SelectParams {
 /// labels, whatever their order.
 ///
 /// Outputs: `policy`, a copy of the chosen file, byte for byte; and `ranking`, a CSV file with the labels in
-/// alphabetical order, then `mean,std,episodes,chosen`, the best candidate first. The comparison uses all digits of the
-/// means, of which the ranking shows two decimals.
+/// alphabetical order, then `mean,std,episodes,diverged,chosen`, the best candidate first. `diverged` is 1 for a candidate
+/// whose training diverged: its last finite weights were evaluated, and it can be chosen like any other. The comparison
+/// uses all digits of the means, of which the ranking shows two decimals.
 pub struct Select;
 
 impl Describe for Select {
     const KIND: &'static str = "select";
-    const REVISION: u32 = 1;
+    const REVISION: u32 = 2;
     const ABOUT: &'static str = "selects the policy with the best evaluation";
     const SEEDED: bool = false;
     type Params = SelectParams;
@@ -85,6 +86,7 @@ impl Stage for Select {
 struct Judged<'a> {
     candidate: InputItem<'a>,
     summary: Summary,
+    diverged: bool,
 }
 
 /// Each candidate with its evaluation, in the order of the candidates.
@@ -99,7 +101,7 @@ fn matched<'a>(candidates: &[InputItem<'a>], samples: &[Sample<'a>]) -> Result<V
             return Err(unmatched(CANDIDATES, candidate, samples::PORT, items));
         };
         let summary = summarise(&sample.scores, &sample.item)?;
-        Ok(Judged { candidate: *candidate, summary })
+        Ok(Judged { candidate: *candidate, summary, diverged: sample.diverged })
     };
     candidates.iter().map(judge).collect()
 }
@@ -144,11 +146,12 @@ fn ranking(ranked: &[Judged<'_>]) -> Result<Vec<u8>, StageError> {
 fn ranking_text(ranked: &[Judged<'_>], axes: &BTreeSet<&str>) -> Result<Vec<u8>, Box<dyn std::error::Error>> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     writer.write_record(axes.iter().copied().chain(VALUES))?;
-    for (n, Judged { candidate, summary }) in ranked.iter().enumerate() {
+    for (n, Judged { candidate, summary, diverged }) in ranked.iter().enumerate() {
         let labels = axes.iter().map(|axis| candidate.labels.get(*axis).map_or("", String::as_str));
         let (mean, std) = (precise(summary.mean), precise(summary.std));
-        let (episodes, chosen) = (summary.episodes.to_string(), (n == 0).to_string());
-        writer.write_record(labels.chain([mean.as_str(), &std, &episodes, &chosen]))?;
+        let (episodes, diverged) = (summary.episodes.to_string(), u8::from(*diverged).to_string());
+        let chosen = (n == 0).to_string();
+        writer.write_record(labels.chain([mean.as_str(), &std, &episodes, &diverged, &chosen]))?;
     }
     Ok(writer.into_inner()?)
 }

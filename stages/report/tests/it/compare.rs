@@ -29,13 +29,27 @@ fn scores_stand_beside_those_of_the_base_with_ratio_and_paired_difference() {
     // Differences -20, 10, -20: mean -10, sample deviation 17.32, over the root of 3.
     assert_eq!(
         output(&bench, "csv"),
-        "mode,place,mean,std,episodes,ratio,difference,difference_error\n\
-         deterministic,home,800.00,81.65,3,1.0000,0.00,0.00\n\
-         deterministic,abroad,790.00,82.87,3,0.9875,-10.00,10.00\n\
-         stochastic,home,500.00,81.65,3,1.0000,0.00,0.00\n\
-         stochastic,abroad,500.00,81.65,3,1.0000,0.00,0.00\n"
+        "mode,place,mean,std,episodes,diverged,ratio,difference,difference_error\n\
+         deterministic,home,800.00,81.65,3,0,1.0000,0.00,0.00\n\
+         deterministic,abroad,790.00,82.87,3,0,0.9875,-10.00,10.00\n\
+         stochastic,home,500.00,81.65,3,0,1.0000,0.00,0.00\n\
+         stochastic,abroad,500.00,81.65,3,0,1.0000,0.00,0.00\n"
     );
     insta::assert_snapshot!("compare_markdown", output(&bench, "markdown"));
+}
+
+#[test]
+fn an_agent_whose_training_diverged_is_marked() {
+    let bench = bench();
+    let home = fakes::scores(&bench, "home", &[2.0]);
+    let away = fakes::diverged_scores(&bench, "away", &[1.0]);
+    let bench =
+        bench.input("scores", &home, &[("place", "home")]).input("scores", &away, &[("place", "away")]);
+    bench.run().unwrap();
+    let csv = output(&bench, "csv");
+    assert!(csv.ends_with("home,2.00,0.00,1,0,1.0000,0.00,\naway,1.00,0.00,1,1,0.5000,-1.00,\n"), "{csv}");
+    let page = output(&bench, "markdown");
+    assert!(page.contains("**training diverged**") && page.contains("evaluated: place=away\n"), "{page}");
 }
 
 #[test]

@@ -32,6 +32,15 @@ pub fn matrix() -> Vec<Vec<(&'static str, &'static str)>> {
 
 /// Writes an evaluation with these scores into the bench's folder.
 pub fn scores(bench: &Bench, name: &str, values: &[f64]) -> PathBuf {
+    written(bench, name, values, None)
+}
+
+/// The same of an agent whose training diverged.
+pub fn diverged_scores(bench: &Bench, name: &str, values: &[f64]) -> PathBuf {
+    written(bench, name, values, Some(8192))
+}
+
+fn written(bench: &Bench, name: &str, values: &[f64], diverged_at_step: Option<u64>) -> PathBuf {
     let path = bench.folder().join(format!("{name}.csv"));
     let row = |(episode, score): (usize, &f64)| ScoreRow {
         episode,
@@ -39,7 +48,7 @@ pub fn scores(bench: &Bench, name: &str, values: &[f64]) -> PathBuf {
         score: *score,
         steps: 1000,
         outcome: "time-limit".into(),
-        diverged_at_step: None,
+        diverged_at_step,
     };
     scores::write(&path, &values.iter().enumerate().map(row).collect::<Vec<_>>()).unwrap();
     path

@@ -63,7 +63,17 @@ fn one_candidate_without_labels_is_its_own_best() {
     let bench = bench.input("candidates", &policy, &[]).input("scores", &scores, &[]);
     bench.run().unwrap();
     assert_eq!(chosen(&bench), b"only\0\xff\r\n");
-    assert_eq!(output(&bench, "ranking"), "mean,std,episodes,chosen\n1.00,0.00,1,true\n");
+    assert_eq!(output(&bench, "ranking"), "mean,std,episodes,diverged,chosen\n1.00,0.00,1,0,true\n");
+}
+
+#[test]
+fn the_ranking_marks_a_candidate_whose_training_diverged() {
+    let bench = with_scores(with_candidates(&["1", "2"]), "1", &[1.0]);
+    let path = fakes::diverged_scores(&bench, "scores-2", &[2.0]);
+    let bench = bench.input("scores", &path, &[("expert", "clipped"), ("seed", "2")]);
+    bench.run().unwrap();
+    let ranking = output(&bench, "ranking");
+    assert!(ranking.ends_with("clipped,2,2.00,0.00,1,1,true\nclipped,1,1.00,0.00,1,0,false\n"), "{ranking}");
 }
 
 #[test]

@@ -1,7 +1,6 @@
 //! The kind `table` on the thesis's 48 evaluations and parts of them.
 
 use dril_report::Table;
-use dril_stage_api::scores;
 use dril_stage_api::testing::Bench;
 use dril_stage_api::{Kind, StageError};
 use serde_json::{Value, json};
@@ -175,11 +174,11 @@ fn a_reference_may_know_more_or_fewer_cells_than_the_run() {
 fn a_cell_of_an_agent_whose_training_diverged_is_marked() {
     let with = json!({"title": "T", "profile": "full", "keys": ["policy"]});
     let mut bench = Bench::new::<Table>(&with, 0).unwrap();
-    for (policy, diverged_at_step) in [("beta", None), ("gaussian", Some(8192))] {
-        let path = fakes::scores(&bench, policy, &[1.0, 2.0]);
-        let mut rows = scores::read("scores", &path).unwrap();
-        rows.iter_mut().for_each(|row| row.diverged_at_step = diverged_at_step);
-        scores::write(&path, &rows).unwrap();
+    let files = [
+        ("beta", fakes::scores(&bench, "beta", &[1.0, 2.0])),
+        ("gaussian", fakes::diverged_scores(&bench, "gaussian", &[1.0, 2.0])),
+    ];
+    for (policy, path) in files {
         bench = bench.input("scores", &path, &[("policy", policy)]);
     }
     bench.run().unwrap();
