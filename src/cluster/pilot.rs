@@ -112,7 +112,7 @@ fn run(
             folder.finish(entry)
         }
         Ok(None) => folder.finish(entry),
-        // The job was preempted or cancelled, and the stage stopped: another pilot may go on with it at once.
+        // The job was preempted or cancelled, and the stage stopped: another pilot may continue it at once.
         Err(Interrupted) => {
             home.release()?;
             folder.give_back(queue, entry)

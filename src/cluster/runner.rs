@@ -57,7 +57,7 @@ enum Waited {
     },
     /// No pilot will take it.
     Withdrawn,
-    /// The run was stopped, and the stage was left to go on.
+    /// The run was stopped, and the stage was left to continue.
     Left,
 }
 

@@ -52,7 +52,7 @@ pub struct ChildRunner {
     /// Arguments before the job file.
     args: Vec<OsString>,
     warden: Arc<Warden>,
-    /// Environment variables for foreign programs, where their values do not come from this process.
+    /// Environment variables for external programs, where their values do not come from this process.
     passed: Arc<BTreeMap<String, OsString>>,
     /// The last parent of stage folders that was resolved, and its path without symbolic links.
     real: Arc<Mutex<(PathBuf, PathBuf)>>,
@@ -67,7 +67,7 @@ impl ChildRunner {
         Self { args: args.into_iter().collect(), warden, program, passed, real }
     }
 
-    /// The same, whose foreign programs get these environment variables.
+    /// The same, whose external programs get these environment variables.
     #[must_use]
     pub fn passing(&self, variables: BTreeMap<String, OsString>) -> Self {
         Self { passed: variables.into(), ..self.clone() }
@@ -123,7 +123,7 @@ impl ChildRunner {
             })
     }
 
-    /// Runs a foreign program.
+    /// Runs a external program.
     fn run_program(
         &self,
         prepared: Result<Prepared, StageError>,
@@ -240,7 +240,7 @@ struct Watched<'a> {
     launch: &'a Launch<'a>,
     /// The processes that it started.
     followed: Followed,
-    /// Kills it if the engine dies; for foreign programs, which do not watch the engine themselves.
+    /// Kills it if the engine dies; for external programs, which do not watch the engine themselves.
     guarded: Option<Guarded<'a>>,
     asked: Option<Instant>,
     over: Option<Over>,
@@ -332,7 +332,7 @@ impl<'a> Watched<'a> {
                 self.over = Some(Over::Memory(bytes));
                 self.kill(Signal::KILL);
             }
-            // Measuring large processes takes a while, and they stand still meanwhile.
+            // Measuring large processes takes a while, and they are stopped meanwhile.
             self.measure = Instant::now() + MEASURE_INTERVAL.max(began.elapsed() * 10);
         }
     }

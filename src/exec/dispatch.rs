@@ -218,7 +218,7 @@ impl<'a, 's> Dispatcher<'a, 's> {
 
     fn start_ready(&mut self, start: &mut Start<'_, 'a>) -> Result<(), StoreError> {
         if self.halted.is_some() {
-            // Only what has begun goes on.
+            // Only what has begun continues.
             self.keep_begun();
         }
         while !self.stopping && self.committing < MAX_COMMITS {

@@ -36,7 +36,7 @@ fn probe(folder: &Path) -> std::io::Result<SystemTime> {
     tempfile::tempfile_in(folder)?.metadata()?.modified()
 }
 
-/// The time since boot in milliseconds. It goes on while the machine is suspended.
+/// The time since boot in milliseconds. It advances while the machine is suspended.
 pub(super) fn since_boot() -> u64 {
     #[cfg(target_os = "linux")]
     const CLOCK: rustix::time::ClockId = rustix::time::ClockId::Boottime;

@@ -22,7 +22,7 @@ mod armed {
         LEFT.store(nth, Ordering::SeqCst);
     }
 
-    /// From the `nth` step (from 1) on, writing finds the disk full. What needs no room goes on working.
+    /// From the `nth` step (from 1) on, writing finds the disk full. What needs no space continues to work.
     pub fn fill(nth: u64) {
         ROOM.store(nth, Ordering::SeqCst);
     }

@@ -22,7 +22,7 @@ pub struct JobSettings {
     pub account: Option<String>,
     /// `--qos`
     pub qos: Option<String>,
-    /// `--time`: a stage that needs longer saves a checkpoint and goes on in another job.
+    /// `--time`: a stage that needs longer saves a checkpoint and continues in another job.
     #[serde(deserialize_with = "time")]
     pub time: Option<Duration>,
     /// `--mem` in bytes, for stages that have no `memory`.

@@ -1,4 +1,4 @@
-//! Private copies of blobs, for foreign programs: whatever a program does to a copy does not reach the store, whoever the user is
+//! Private copies of blobs, for external programs: whatever a program does to a copy does not reach the store, whichever user runs it
 //! and whatever permissions the program sets.
 //!
 //! Where the file system can share blocks between files (btrfs, XFS, bcachefs, ZFS since 2.2), a copy is free. Elsewhere its bytes

@@ -74,7 +74,7 @@ pub enum StoreError {
     /// Another machine removed the private folder of this run.
     #[error(
         "this process gave no sign of life for {} min (it was suspended, or cut off from the file system of the store), so \
-         another machine took it for dead and removed its unfinished work; run again to go on", fsx::RUN_PATIENCE.as_secs() / 60
+         another machine took it for dead and removed its unfinished work; run again to continue", fsx::RUN_PATIENCE.as_secs() / 60
     )]
     TakenForDead,
     /// Another process published a different result for the same work.

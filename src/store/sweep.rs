@@ -244,7 +244,7 @@ impl Store {
         for path in fsx::list(&self.root().join("checkpoints-v1"))? {
             let key = key_of(&path);
             let finished = key.is_some_and(|key| done.contains(&key));
-            // A job goes on without an engine, and is not in use then.
+            // A job continues without an engine, and is not in use then.
             let before = if self.has_job(key)? { oldest_kept(wish) } else { before };
             if !(finished || before.is_some() && is_older(before, last_saved(&path)?))
                 || key.is_some_and(|key| in_use.keys.contains(&key))
@@ -346,7 +346,7 @@ impl Store {
     }
 
     /// Removes locks and folders of dead runs; returns what could not be removed, and why. Before the lists of runs are read: a run of another machine that gave no sign of life
-    /// for long, and goes on later, then finds its folder gone instead of relying on what is removed.
+    /// for long, and continues later, then finds its folder gone instead of relying on what is removed.
     fn sweep_dead(&self) -> Result<Vec<(PathBuf, String)>, StoreError> {
         let mut failed = Vec::new();
         let tmp = self.root().join("tmp");

@@ -200,10 +200,10 @@ fn an_exported_run_refills_a_store_elsewhere_and_nothing_runs_there() {
     sealed.run_ok("run p.yaml");
     let said = sealed.run_ok("cache export last --out run.zip");
     assert!(said.starts_with("run.zip: run "), "{said}");
-    let told = sealed.run_ok("cache export last --out again.zip --json");
-    let told: Value = serde_json::from_str(&told).unwrap();
-    assert_eq!(told["archive"], "again.zip");
-    assert!(told["results"].as_u64() > Some(0) && told["bytes"].as_u64() > Some(0), "{told}");
+    let summary = sealed.run_ok("cache export last --out again.zip --json");
+    let summary: Value = serde_json::from_str(&summary).unwrap();
+    assert_eq!(summary["archive"], "again.zip");
+    assert!(summary["results"].as_u64() > Some(0) && summary["bytes"].as_u64() > Some(0), "{summary}");
     assert_eq!(
         std::fs::read(sealed.path("run.zip")).unwrap(),
         std::fs::read(sealed.path("again.zip")).unwrap()

@@ -34,7 +34,7 @@ profiles:
     count: { to: 1 }
 ";
 
-/// A table whose middle stage does as it is told by `--set b.…`.
+/// A table whose middle stage does what `--set b.…` sets.
 const CHAIN: &str = "\
 name: chain
 stages:
@@ -131,7 +131,7 @@ fn a_failed_stage_shows_its_error_its_log_and_lets_others_finish() {
     let sealed = Sealed::with(CHAIN);
     let ended = sealed.run("run p.yaml --set b.mishap=fail --set b.at=1");
     assert_eq!(ended.code, 1, "{ended:?}");
-    assert!(ended.stderr.contains("error: stage `b` failed: told to fail at 1\n"), "{}", ended.stderr);
+    assert!(ended.stderr.contains("error: stage `b` failed: fails as configured at 1\n"), "{}", ended.stderr);
     assert!(ended.stdout.contains(" ran     d in "), "{}", ended.stdout);
     assert!(ended.stdout.contains("failed: 2 ran, 1 failed, 1 skipped, in "), "{}", ended.stdout);
     assert!(ended.stdout.contains("\n  failed: b\n  skipped: c\n"), "{}", ended.stdout);
@@ -153,7 +153,11 @@ fn quiet_says_nothing_but_errors() {
     let sealed = Sealed::with(CHAIN);
     let failed = sealed.run("run p.yaml --quiet --set b.mishap=fail");
     assert_eq!((failed.code, &*failed.stdout), (1, ""));
-    assert!(failed.stderr.starts_with("error: stage `b` failed: told to fail at 0\n"), "{}", failed.stderr);
+    assert!(
+        failed.stderr.starts_with("error: stage `b` failed: fails as configured at 0\n"),
+        "{}",
+        failed.stderr
+    );
     let done = sealed.run("run p.yaml -q");
     assert_eq!((done.code, &*done.stdout, &*done.stderr), (0, "", ""));
 }

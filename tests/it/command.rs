@@ -270,7 +270,7 @@ fn a_program_still_dies_with_its_engine_where_the_warden_was_killed_before() {
     until("there is another warden", || {
         children_with(child.id(), "__warden").iter().any(|warden| !first.contains(warden))
     });
-    // And is told what there is.
+    // And lists what there is.
     std::thread::sleep(std::time::Duration::from_millis(500));
     signal(&child, "KILL");
     child.wait().unwrap();

@@ -1,4 +1,4 @@
-//! What editors, shells and `man` are told: the schema fits every pipeline that resolves and refuses what is wrong by its
+//! What editors, shells and `man` receive: the schema fits every pipeline that resolves and refuses what is wrong by its
 //! shape, completions and pages know every command.
 
 use std::path::{Path, PathBuf};

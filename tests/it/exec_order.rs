@@ -159,7 +159,7 @@ fn after_a_failure_independent_stages_go_on_and_dependent_ones_are_skipped() {
     ];
     let ran = lab.run_children(&stages, &options(1));
     assert_eq!(ran.counts(), [2, 0, 1, 2, 0]);
-    assert_eq!(ran.error(), "told to fail at 1");
+    assert_eq!(ran.error(), "fails as configured at 1");
     let skipped = ran.names(|event| match event {
         Event::Skipped { stage, because } => {
             assert_eq!(*because, dril_pipe::resolve::StageIndex::new(0));
@@ -183,8 +183,8 @@ fn without_keep_going_nothing_starts_after_a_failure() {
 #[test]
 fn every_way_to_fail_has_its_own_error() {
     for (mishap, expected) in [
-        ("fail", "told to fail at 1"),
-        ("panic", "it panicked: told to panic at 1; see the log"),
+        ("fail", "fails as configured at 1"),
+        ("panic", "it panicked: panics as configured at 1; see the log"),
         ("crash", "it was killed by SIGABRT"),
         ("exit", "it ended with exit code 9 and reported no error"),
         ("no-output", "output `count` was not written"),
@@ -210,7 +210,7 @@ fn a_failed_stage_shows_the_end_of_its_log_and_where_the_rest_is() {
         panic!("nothing failed")
     };
     let text = std::fs::read_to_string(log).unwrap();
-    assert!(text.contains("told to panic at 1"));
+    assert!(text.contains("panics as configured at 1"));
     assert!(
         !log_tail.is_empty() && text.trim_end().ends_with(log_tail.join("\n").trim_end()),
         "{log_tail:?}"
@@ -304,19 +304,19 @@ fn a_missing_worker_is_reported_before_anything_runs() {
     let stages = [emit("first", 1.0), StageLine::new("second", "elsewhere", json!({"text": "x"}))];
     let graph = scenario::graph(&stages);
     let runner = ChildRunner::new(fakes_program(), ["__stage".into()]);
-    let mut told = Vec::new();
+    let mut events = Vec::new();
     let error = exec::execute(
         lab.plan(&graph),
         &lab.store,
         &runner,
         &options(1),
         &AtomicBool::new(false),
-        &mut |event| told.push(event.clone()),
+        &mut |event| events.push(event.clone()),
     );
     let Err(ExecError::Worker { kind: "elsewhere", source }) = error else { panic!("{error:?}") };
     let message = source.to_string();
     assert!(message.contains("dril-pipe-nowhere` does not exist"), "{message}");
-    assert!(told.is_empty() && !lab.store.root().exists());
+    assert!(events.is_empty() && !lab.store.root().exists());
 }
 
 #[test]

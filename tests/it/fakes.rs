@@ -1,7 +1,7 @@
-//! Stage kinds for the engine's tests: quick, free of learning, and willing to misbehave when told to.
+//! Stage kinds for the engine's tests: quick, free of learning, and able to misbehave on request.
 //!
 //! - `emit` writes its text (no seed); `concat` joins what is wired to it (fan-in); `count` counts slowly from a seeded
-//!   start, says how far it is, keeps checkpoints, and can be told to fail, crash, hang, or leave bad outputs.
+//!   start, says how far it is, keeps checkpoints, and can be configured to fail, crash, hang, or leave bad outputs.
 //! - `elsewhere` is described here and run by an executable that does not exist.
 //!
 //! With `DRIL_FAKES_TRACE` set to a file, stages append what they do to it: `<event> <kind> <key> <pid>`.
@@ -336,11 +336,11 @@ fn mishap(params: &CountParams, step: u64, ctx: &Ctx<'_>) -> Result<(), StageErr
         return Ok(());
     }
     match params.mishap {
-        Mishap::Fail => return Err(StageError::failed(format!("told to fail at {step}"))),
+        Mishap::Fail => return Err(StageError::failed(format!("fails as configured at {step}"))),
         Mishap::Refuse => {
             return Err(StageError::input("start", ctx.input("start")?, "set up to refuse /etc/fakes/it"));
         }
-        Mishap::Panic => panic!("told to panic at {step}"),
+        Mishap::Panic => panic!("panics as configured at {step}"),
         Mishap::Crash => {
             eprintln!("about to crash");
             std::process::abort()
@@ -418,7 +418,7 @@ fn meet(others: usize) -> Result<(), StageError> {
         }
         std::thread::sleep(Duration::from_millis(2));
     }
-    Err(StageError::failed(format!("waited in vain for {others} stages to begin")))
+    Err(StageError::failed(format!("waited too long for {others} stages to begin")))
 }
 
 fn trace(event: &str, kind: &str, ctx: &Ctx<'_>) {

@@ -73,7 +73,7 @@ fn status_distinguishes_fresh_stale_and_failed_stages() {
     assert_eq!(sealed.run(&format!("run p.yaml {bad}")).code, 1);
     let after = parsed(&sealed, &format!("status p.yaml --json {bad}"));
     assert_eq!(stage(&after, "count[word=two]")["state"], "failed");
-    assert_eq!(stage(&after, "count[word=two]")["error"], "told to fail at 0");
+    assert_eq!(stage(&after, "count[word=two]")["error"], "fails as configured at 0");
     assert_eq!(stage(&after, "gather")["state"], "behind");
     assert_eq!(stage(&after, "apart")["state"], "fresh");
     let stale = sealed.run_ok("status p.yaml --set apart.text=x");

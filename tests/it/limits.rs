@@ -1,4 +1,4 @@
-//! Retries, timeouts and memory limits: what they do, what is told of them, and that no key knows them.
+//! Retries, timeouts and memory limits: what they do, what is reported about them, and that no key knows them.
 
 use std::time::{Duration, Instant};
 

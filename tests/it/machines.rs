@@ -1,5 +1,5 @@
 //! Several machines on one store: processes that do not see each other's kernel locks, and have only what shared file systems give.
-//! Stages are built by one at a time, and whoever is killed or stands still costs time only.
+//! Stages are built by one at a time, and a process that is killed or suspended costs only time.
 
 use std::path::PathBuf;
 use std::process::{Child, Command};
@@ -139,7 +139,7 @@ fn signal(process: u32, signal: Signal) {
 fn wait_until(what: &str, mut happened: impl FnMut() -> bool) {
     let deadline = Instant::now() + Duration::from_secs(60);
     while !happened() {
-        assert!(Instant::now() < deadline, "waited in vain until {what}");
+        assert!(Instant::now() < deadline, "waited too long until {what}");
         std::thread::sleep(Duration::from_millis(5));
     }
 }
@@ -243,7 +243,7 @@ fn an_engine_that_stood_still_with_its_stages_gives_way_to_the_one_that_took_ove
     signal(stopped.id(), Signal::CONT);
     assert!(other.wait().unwrap().success());
     assert!(stopped.wait().unwrap().success());
-    // The first two processes were killed as soon as they noticed, or ended in vain.
+    // The first two processes were killed as soon as they noticed, or ended without a result.
     shared.check_result();
 }
 

@@ -1,4 +1,4 @@
-//! The page about results: when it is written, what it is told, and whose files it leaves alone. What stands in it is
+//! The page about results: when it is written, what it receives, and whose files it leaves alone. What stands in it is
 //! the business of the package that writes it; here a stand-in prints what it was handed.
 
 use crate::cli::WORDS;
@@ -41,7 +41,7 @@ fn a_page_tells_of_what_failed_and_a_run_with_failures_has_one() {
     let failed = run(&sealed, "run p.yaml");
     assert_eq!(failed.code, 1, "{failed:?}");
     let page = sealed.read("results/p-default/report.html");
-    assert!(page.contains("Failed(\"told to fail at 2"), "{page}");
+    assert!(page.contains("Failed(\"fails as configured at 2"), "{page}");
 }
 
 #[test]

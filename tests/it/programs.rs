@@ -301,9 +301,9 @@ fn a_failure_inside_a_pipe_fails_the_stage() {
     let failed = run_file(&with("(echo half; exit 9) | cat > {outputs.t}"), "p.yaml");
     assert_eq!(failed.code, 1, "{failed:?}");
     assert!(failed.stderr.contains("exit code 9"), "{}", failed.stderr);
-    let sealed = with("(exit 9) | cat > {outputs.t} || echo mended > {outputs.t}");
+    let sealed = with("(exit 9) | cat > {outputs.t} || echo fixed > {outputs.t}");
     ok(&sealed);
-    assert_eq!(sealed.read("results/p-default/s.csv"), "mended\n");
+    assert_eq!(sealed.read("results/p-default/s.csv"), "fixed\n");
 }
 
 #[test]

@@ -22,7 +22,7 @@ impl Dice {
     }
 }
 
-/// A server on a port of its own that goes on until the test ends.
+/// A server on a port of its own that runs until the test ends.
 pub struct Net {
     pub address: SocketAddr,
     /// One in so many requests or connections goes wrong; 0: none.

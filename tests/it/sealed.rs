@@ -115,7 +115,7 @@ pub fn lines(text: &str) -> Vec<Value> {
 pub fn until(what: &str, mut is_true: impl FnMut() -> bool) {
     let began = Instant::now();
     while !is_true() {
-        assert!(began.elapsed() < Duration::from_secs(20), "waited in vain until {what}");
+        assert!(began.elapsed() < Duration::from_secs(20), "waited too long until {what}");
         std::thread::sleep(Duration::from_millis(5));
     }
 }

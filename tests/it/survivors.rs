@@ -19,7 +19,7 @@ const WAYS: [&str; 4] = [
     os.chdir('/'); os.closerange(0, 64)
     f = os.open('PIDS', os.O_CREAT | os.O_WRONLY | os.O_APPEND); os.write(f, b'%d\\\\n' % os.getpid()); os.close(f)
     os.execve('/bin/sleep', ['sleep', '300'], {})\"",
-    // One that goes on starting others.
+    // One that keeps starting others.
     "setsid sh -c 'while :; do sh -c \"echo \\$$$$ >> PIDS; exec sleep 300\" & sleep 0.02; done' &",
 ];
 

@@ -1,5 +1,5 @@
 //! The fuzzers' functions on stable Rust, in every test run: each on its seeds, and on thousands of seeds that were bent.
-//! No panic, no hang; `fuzz/` has the same functions for cargo-fuzz, which goes on for as long as it is let.
+//! No panic, no hang; `fuzz/` has the same functions for cargo-fuzz, which runs until it is stopped.
 
 use std::path::Path;
 use std::time::{Duration, Instant};

@@ -21,7 +21,7 @@ fn an_edit_of_the_pipeline_or_of_a_file_that_it_reads_runs_it_again() {
     sealed.write("d.txt", "three");
     let text = "name: x\nstages:\n  a: { kind: concat, with: { separator: s }, inputs: { parts: { file: d.txt } } }\n";
     sealed.write("p.yaml", text);
-    until("the mended pipeline was seen", || result() == "three");
+    until("the corrected pipeline was seen", || result() == "three");
     signal(&child, "INT");
     assert_eq!(child.wait().unwrap().code(), Some(130));
 }

@@ -1,7 +1,7 @@
 //! The three Python wheels that libtorch is taken from, pinned by hash, and the members that are needed.
 //!
 //! torch's own wheel is built for CUDA; its CPU library still refers to the CUDA run-time and profiling libraries when
-//! it is loaded, hence the two small packages next to it (the versions that torch's metadata asks for).
+//! it is loaded, which explains the two small packages next to it (the versions that torch's metadata asks for).
 //! Everything that talks to a GPU stays behind, so torch-sys links for the CPU.
 
 /// The only version that the tch crate of this workspace can be built with.

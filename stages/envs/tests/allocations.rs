@@ -64,7 +64,7 @@ fn the_counter_counts() {
 }
 
 #[test]
-fn a_step_of_car_racing_with_picture_and_stack_allocates_only_inside_the_physics_engine() {
+fn a_step_of_car_racing_with_image_and_stack_allocates_only_inside_the_physics_engine() {
     for version in ["v0", "v3"] {
         let config: EnvConfig =
             serde_json::from_str(&format!(r#"{{"car-racing": {{"version": "{version}"}}}}"#)).unwrap();
@@ -83,9 +83,9 @@ fn a_step_of_car_racing_with_picture_and_stack_allocates_only_inside_the_physics
             simulation.car_mut().control(&Controls { gas: 0.3, ..Controls::default() });
             simulation.car_mut().step([true; 4]);
         });
-        assert_eq!(whole, engine, "{version}: rules, picture or stack allocate");
+        assert_eq!(whole, engine, "{version}: rules, image or stack allocate");
         // Four in a release build, all in rapier2d 0.36.1: the list of moved bodies (twice, as it grows), which it takes and
-        // begins anew (`step_inner` in pipeline/physics_pipeline/substep.rs); the joints that it looks through once a motor
+        // starts again (`step_inner` in pipeline/physics_pipeline/substep.rs); the joints that it looks through once a motor
         // was set (`select_active_interactions` in dynamics/joint/impulse_joint/impulse_joint_set.rs); and the cursors of
         // its workers (`StageSync::new` in dynamics/solver/staged_island_solver/sync.rs). docs/performance.md says why
         // they stay. Its debug assertions make one more.
@@ -111,6 +111,6 @@ fn a_step_of_the_lander_allocates_only_inside_the_physics_engine() {
         env.step(&[0.0; 2]).unwrap();
     });
     assert_eq!(whole, engine, "the environment allocates");
-    // Vectors of reduced coordinates that the engine makes anew in every step.
+    // Vectors of reduced coordinates that the engine allocates in every step.
     assert!(engine <= 25 * 40, "{engine} allocations in 25 steps");
 }

@@ -1,5 +1,5 @@
 //! The environments give the same bits on every x86-64 machine: whole episodes against digests that are kept here, in
-//! this process and in others whose C library is told to leave parts of the processor alone.
+//! this process and in others whose C library is configured not to use parts of the processor.
 
 #![allow(clippy::unwrap_used)]
 
@@ -7,7 +7,7 @@ mod episodes;
 
 use std::process::Command;
 
-/// What glibc may be told (read when a process starts). It then takes its functions without these instructions.
+/// What glibc can be configured with (read when a process starts). It then takes its functions without these instructions.
 const GLIBC: [&str; 3] = [
     "glibc.cpu.hwcaps=-AVX2,-AVX512F,-FMA,-FMA4,-AVX",
     "glibc.cpu.hwcaps=-FMA",

@@ -58,7 +58,7 @@ fn the_spaces_are_those_of_the_environments() {
 }
 
 #[test]
-fn an_id_or_a_setting_that_gymnasium_does_not_know_is_told() {
+fn an_id_or_a_setting_that_gymnasium_does_not_know_is_an_error() {
     for (value, words) in [
         (json!("CarRacign-v3"), "no environment `CarRacign-v3`: Environment `CarRacign` doesn't exist"),
         (json!("LunarLanderContinuous-v2"), "Please use `LunarLanderContinuous-v3` instead"),
@@ -201,7 +201,7 @@ fn time_limits_and_ends_are_told_apart() {
 }
 
 #[test]
-fn there_is_a_picture_for_people() {
+fn an_episode_can_be_rendered() {
     let mut envs = [GymnasiumConfig::new("CarRacing-v3"), GymnasiumConfig::new("ALE/Breakout-v5")];
     envs[0].tracks = Tracks::CarRacing;
     python();
@@ -213,9 +213,9 @@ fn there_is_a_picture_for_people() {
             env.step(&vec![0.0; values]).unwrap();
         }
         let before = env.frame().to_owned();
-        let picture = env.render(300, 200).unwrap();
-        assert_eq!(picture.rgb.len(), 300 * 200 * 3);
-        let colours: std::collections::BTreeSet<&[u8]> = picture.rgb.chunks(3).collect();
+        let image = env.render(300, 200).unwrap();
+        assert_eq!(image.rgb.len(), 300 * 200 * 3);
+        let colours: std::collections::BTreeSet<&[u8]> = image.rgb.chunks(3).collect();
         assert!(colours.len() > 4);
         assert_eq!(env.frame().to_owned(), before, "looking changes nothing");
     }

@@ -14,7 +14,7 @@ use crate::{Device, UpdateParams};
 ///
 /// - `episode`: its number, from 0;
 /// - `step`: environment steps over all environments when it ended, counted from the start of the whole training;
-/// - `update`: updates before it ended, counted likewise;
+/// - `update`: updates before it ended, counted in the same way;
 /// - `seed`: its environment seed, which determines its track, terrain or level;
 /// - `score`: the sum of the environment's own rewards;
 /// - `length`: its steps;

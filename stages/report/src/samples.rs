@@ -82,7 +82,7 @@ pub(crate) fn unique(port: &str, items: &[InputItem<'_>]) -> Result<(), StageErr
 /// The samples by the values of `keys`, groups and episodes in the order of the samples.
 ///
 /// # Errors
-/// A sample without one of the labels (`hint` says how to mend it), or scores too large to average.
+/// A sample without one of the labels (`hint` says how to fix it), or scores too large to average.
 pub(crate) fn pool(samples: &[Sample<'_>], keys: &[String], hint: &str) -> Result<Vec<Group>, StageError> {
     let mut pools: Vec<(Vec<String>, Vec<&Sample<'_>>)> = Vec::new();
     for (n, sample) in samples.iter().enumerate() {

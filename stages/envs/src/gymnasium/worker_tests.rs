@@ -156,7 +156,7 @@ fn wait_for<T>(mut look: impl FnMut() -> Option<T>) -> T {
         if let Some(found) = look() {
             return found;
         }
-        assert!(Instant::now() < deadline, "waited in vain");
+        assert!(Instant::now() < deadline, "waited too long");
         std::thread::sleep(Duration::from_millis(50));
     }
 }

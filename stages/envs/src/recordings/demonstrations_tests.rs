@@ -41,7 +41,7 @@ fn a_file_of_version_1_is_read_for_ever() {
 }
 
 #[test]
-#[ignore = "writes the golden file anew"]
+#[ignore = "writes the golden file again"]
 fn write_the_golden_file() {
     golden().write(&golden_path()).unwrap();
 }

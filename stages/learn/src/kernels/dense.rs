@@ -5,7 +5,7 @@
 //! - [`weight_gradient`]: from 0 through the rows of the batch.
 //! - [`input_gradient`]: from 0 through the outputs.
 //!
-//! Where a sum is cut so that its operands stay in a near cache, the chain goes on from what was stored.
+//! Where a sum is cut so that its operands stay in a near cache, the chain continues from what was stored.
 
 use super::buffer::with_scratch;
 use super::tile::{Block, MOST_ROWS, Side, add_products, in_blocks, starts_of};

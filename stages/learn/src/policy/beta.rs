@@ -62,7 +62,7 @@ impl Shapes {
         let mut by_alpha = weights.log_prob * (left - mean_left);
         let mut by_beta = weights.log_prob * (right - mean_right);
         if weights.entropy != 0.0 {
-            // −(α−1) ψ′(α) + (α+β−2) ψ′(α+β), and likewise for β.
+            // −(α−1) ψ′(α) + (α+β−2) ψ′(α+β), and the same for β.
             let both = (self.above.0 + self.above.1) * math::trigamma(self.alpha + self.beta);
             by_alpha += weights.entropy * (both - self.above.0 * math::trigamma(self.alpha));
             by_beta += weights.entropy * (both - self.above.1 * math::trigamma(self.beta));

@@ -82,7 +82,7 @@ struct Case {
     samples: Vec<f32>,
 }
 
-/// The gradients of a case, likewise.
+/// The gradients of a case, in the same form.
 #[derive(Debug)]
 struct Found {
     first: Vec<f32>,

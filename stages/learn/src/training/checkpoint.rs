@@ -60,7 +60,7 @@ impl Arrays {
 /// The error for an intact checkpoint that is not from this stage.
 pub fn foreign(what: &str) -> StageError {
     StageError::failed(format!(
-        "the checkpoint is of another program version: {what}; empty the checkpoint folder to start anew"
+        "the checkpoint is of another program version: {what}; empty the checkpoint folder to start again"
     ))
 }
 

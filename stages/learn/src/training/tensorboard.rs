@@ -32,7 +32,7 @@ impl Curves {
         let Some(folder) = ctx.curves() else { return Ok(Self(None)) };
         std::fs::create_dir_all(folder).map_err(StageError::io("cannot make", folder))?;
         let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        // The name that TensorBoard looks for; a stage that goes on after a stop adds a file.
+        // The name that TensorBoard looks for; a stage that continues after a stop adds a file.
         let name = format!("events.out.tfevents.{:010}.{:09}.dril-pipe", now.as_secs(), now.subsec_nanos());
         let path = folder.join(name);
         let file = File::create(&path).map_err(StageError::io("cannot make", &path))?;

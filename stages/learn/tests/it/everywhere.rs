@@ -1,5 +1,5 @@
 //! The same bytes on every x86-64 machine: each algorithm gives its golden digest, whatever the libraries of the system
-//! are told about the processor.
+//! are configured to assume about the processor.
 //!
 //! Libraries choose their code by the processor when a process starts, so the variations run in child processes. A
 //! golden digest that another processor does not reproduce is a bug; one that changes with the code means that results
@@ -12,7 +12,7 @@ use dril_stage_api::testing::Bench;
 use crate::kill::{JOB, write_job};
 use crate::worlds::{self, World, digests};
 
-/// What MKL, libtorch and glibc can be told.
+/// What MKL, libtorch and glibc can be configured with.
 const VARIATIONS: [&[(&str, &str)]; 4] = [
     &[],
     &[("MKL_CBWR", "COMPATIBLE"), ("ATEN_CPU_CAPABILITY", "default")],

@@ -1,7 +1,7 @@
 //! What a long training has done survives a kill: the four algorithms are killed at random moments, ten times each, and
 //! end with the same bytes as if nobody had.
 //!
-//! The stage runs in a child process, this very program told to run one job; SIGKILL gives it no chance to save.
+//! The stage runs in a child process, this program running one job; SIGKILL gives it no chance to save.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;

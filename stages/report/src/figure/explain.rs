@@ -92,8 +92,8 @@ pub(crate) fn notes(chart: &Chart<'_>) -> Vec<String> {
 /// The labels of the panels. Headings of measures and of named inputs explain themselves.
 fn panels(rows: &[String], columns: &[String]) -> Option<String> {
     let labels = |all: &[String]| {
-        let told = all.iter().map(String::as_str).filter(|label| !["measure", "name"].contains(label));
-        told.collect::<Vec<_>>().join(" · ")
+        let named = all.iter().map(String::as_str).filter(|label| !["measure", "name"].contains(label));
+        named.collect::<Vec<_>>().join(" · ")
     };
     let (down, across) = (labels(rows), labels(columns));
     match (down.is_empty(), across.is_empty()) {

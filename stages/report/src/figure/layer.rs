@@ -119,10 +119,10 @@ fn name_of(series: &Series, group: &[Strand]) -> String {
     let differs = |name: &String, value: &String| {
         series.groups.iter().flatten().any(|other| other.labels.get(name) != Some(value))
     };
-    let told = first.labels.iter().filter(|(name, value)| {
+    let named = first.labels.iter().filter(|(name, value)| {
         differs(name, value) && group.iter().all(|strand| strand.labels.get(*name) == Some(value))
     });
-    told.map(|(name, value)| format!("{name}={value}")).collect::<Vec<_>>().join(", ")
+    named.map(|(name, value)| format!("{name}={value}")).collect::<Vec<_>>().join(", ")
 }
 
 /// The values of a group at each place: several strands at equal places are taken together.

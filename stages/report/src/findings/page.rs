@@ -222,7 +222,7 @@ impl Page<'_> {
         remarks.extend(units.into_iter().map(|over| match over {
             Over::Trainings => format!("unit: the training, paired by {}", self.params.trainings.join(" and ")),
             Over::Episodes => {
-                "unit: the track, paired; one training a cell, so it speaks of these policies, not of the methods".to_owned()
+                "unit: the track, paired; one training a cell, so it applies to these policies, not to the methods".to_owned()
             }
         }));
         remarks.push(format!("p: corrected by Holm over the {} claims; decided at 0.05", claims.len()));

@@ -177,7 +177,7 @@ fn any_pipeline_has_a_page_and_what_failed_stands_in_it() {
     }
     assert!(
         !text.contains("<script>") && !text.contains("<b>the"),
-        "what others made is text or a picture of its own"
+        "what others made is text or an image of its own"
     );
     let empty = Lab::new("thesis").page("empty");
     assert!(empty.contains("0 of 0"));
