@@ -123,7 +123,7 @@ impl ChildRunner {
             })
     }
 
-    /// Runs a external program.
+    /// Runs an external program.
     fn run_program(
         &self,
         prepared: Result<Prepared, StageError>,

@@ -1,6 +1,6 @@
 //! Lays the inputs of a stage out in its private folder, and checks afterwards that the program did not change them.
 //!
-//! A built-in stage reads blobs in place. A external program gets private copies: it may change permissions, and what it writes
+//! A built-in stage reads blobs in place. An external program gets private copies: it may change permissions, and what it writes
 //! must not reach any other stage. Writing to a copy is an error all the same, so that a pipeline behaves the same on every
 //! file system.
 
@@ -32,7 +32,7 @@ pub(super) struct Placed {
     pub to: PathBuf,
     pub is_folder: bool,
     pub executable: bool,
-    /// True for a private copy, which a external program needs.
+    /// True for a private copy, which an external program needs.
     pub private: bool,
 }
 

@@ -1,6 +1,6 @@
 //! The warden kills external programs, and all processes that they started, when their engine dies.
 //!
-//! A built-in stage watches its stdin, whose other end the engine holds. A external program does not, and the kernel's
+//! A built-in stage watches its stdin, whose other end the engine holds. An external program does not, and the kernel's
 //! parent-death signal would kill only the program and leave its children. So an engine has one more process, `dril-pipe
 //! __warden`. It receives the folder of every program before the program starts, and then its process group. When the engine is
 //! gone it kills the groups, and then every other process that uses one of the folders (`Process::belongs_to`). A program's

@@ -298,21 +298,19 @@ fn no_file_names_a_path_of_a_particular_machine() {
 }
 
 #[test]
-fn tests_that_the_architecture_page_names_exist() {
-    let page = text(Path::new("docs/architecture.md"));
+fn tests_that_the_pages_name_exist() {
     let all: String = sources().iter().map(|path| text(path)).collect();
-    let named: BTreeSet<&str> =
-        page.split('`').skip(1).step_by(2).filter(|word| word.matches('_').count() >= 3).collect();
-    assert!(named.len() > 10, "the page names the test of each invariant");
     let is_word =
         |word: &&&str| word.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_');
-    let gone: Vec<String> = named
-        .iter()
-        .filter(is_word)
-        .filter(|word| !all.contains(&format!("fn {word}(")))
-        .map(|word| word.to_string())
-        .collect();
-    none(&gone, "docs/architecture.md names tests that do not exist");
+    for page in ["docs/architecture.md", "docs/fidelity.md"] {
+        let page_text = text(Path::new(page));
+        let named: BTreeSet<&str> =
+            page_text.split('`').skip(1).step_by(2).filter(|word| word.matches('_').count() >= 3).collect();
+        assert!(named.len() > 5, "{page} names the tests of what it states");
+        let gone = named.iter().filter(is_word).filter(|word| !all.contains(&format!("fn {word}(")));
+        let gone: Vec<String> = gone.map(|word| word.to_string()).collect();
+        none(&gone, &format!("{page} names tests that do not exist"));
+    }
 }
 
 #[test]
@@ -321,11 +319,29 @@ fn links_between_pages_lead_somewhere() {
     for page in files(&["docs", "README.md", "CHANGELOG.md"], ".md") {
         let folder = root().join(page.parent().unwrap());
         for after in text(&page).split("](").skip(1) {
-            let target = after.split([')', '#', ' ']).next().unwrap_or_default();
-            if !target.is_empty() && !target.contains("://") && !folder.join(target).exists() {
-                broken.push(format!("{}: {target}", page.display()));
+            let link = after.split([')', ' ']).next().unwrap_or_default();
+            let (target, anchor) = link.split_once('#').unwrap_or((link, ""));
+            if target.contains("://") {
+                continue;
+            }
+            let path = if target.is_empty() { root().join(&page) } else { folder.join(target) };
+            let leads = match anchor {
+                "" => path.exists(),
+                _ => anchors(&std::fs::read_to_string(&path).unwrap_or_default()).contains(anchor),
+            };
+            if !leads {
+                broken.push(format!("{}: {link}", page.display()));
             }
         }
     }
     none(&broken, "links to nowhere");
+}
+
+/// The anchors of the headings of a page, as Git forges make them.
+fn anchors(page: &str) -> BTreeSet<String> {
+    let headings =
+        page.lines().filter_map(|line| line.strip_prefix('#').map(|rest| rest.trim_start_matches('#')));
+    let kept = |c: &char| c.is_alphanumeric() || [' ', '-', '_'].contains(c);
+    let slug = |heading: &str| heading.trim().chars().filter(kept).collect::<String>();
+    headings.map(|heading| slug(heading).to_lowercase().replace(' ', "-")).collect()
 }
