@@ -5,8 +5,24 @@ use dril_stage_api::Problems;
 use crate::markdown::{escape, one_line};
 
 /// The profile that is taken for the full experiment unless the pipeline file names another.
-pub(crate) fn full_profile() -> String {
-    "full".to_owned()
+const FULL: &str = "full";
+
+/// What the engine calls the only profile of a file without `profiles`. Its sizes are those of the experiment.
+const ONLY: &str = "default";
+
+/// The full profile, where results of `profile` are not comparable with its results; `None` where they are.
+pub(crate) fn reduced_from<'a>(profile: &str, full_profile: Option<&'a str>) -> Option<&'a str> {
+    let full = full_profile.unwrap_or(FULL);
+    let is_full = profile == full || (full_profile.is_none() && profile == ONLY);
+    (!is_full).then_some(full)
+}
+
+/// The most decimals of a table's numbers. The CSV has two more: eight, of the about sixteen digits of an `f64`.
+const MOST_DECIMALS: u8 = 6;
+
+/// Reports a number of decimals that no table has.
+pub(crate) fn check_decimals(decimals: u8, problems: &mut Problems) {
+    problems.range("decimals", decimals, ..=MOST_DECIMALS, &format!("0 to {MOST_DECIMALS}"));
 }
 
 /// What the published numbers are called unless the pipeline file says whose they are.
@@ -33,7 +49,7 @@ pub(crate) const OURS: &str = "this run";
 pub(crate) struct Caption<'a> {
     pub(crate) title: &'a str,
     pub(crate) profile: &'a str,
-    pub(crate) full_profile: &'a str,
+    pub(crate) full_profile: Option<&'a str>,
     pub(crate) note: &'a str,
 }
 
@@ -43,7 +59,8 @@ impl Caption<'_> {
         if one_line(self.title).is_empty() {
             problems.add("title", "`title` is empty, expected the table's title");
         }
-        for (field, value) in [("profile", self.profile), ("full_profile", self.full_profile)] {
+        let names = [("profile", Some(self.profile)), ("full_profile", self.full_profile)];
+        for (field, value) in names.into_iter().filter_map(|(field, value)| Some((field, value?))) {
             if value.trim().is_empty() || value.contains(|c: char| c.is_control() || c == '`') {
                 let message = "expected a profile's name, without line breaks and backticks";
                 problems.add(field, format!("`{field}` is {value:?}, {message}"));
@@ -55,10 +72,10 @@ impl Caption<'_> {
     /// table, and `remarks` (what its numbers are) as a list.
     pub(crate) fn page(&self, lead: &[String], table: &str, remarks: &[String]) -> String {
         let mut blocks = vec![format!("# {}", escape(self.title))];
-        if self.profile != self.full_profile {
+        if let Some(full) = reduced_from(self.profile, self.full_profile) {
             blocks.push(format!(
-                "> made at profile `{}`: sizes are reduced, scores are not comparable with those at profile `{}`",
-                self.profile, self.full_profile
+                "> made at profile `{}`: sizes are reduced, scores are not comparable with those at profile `{full}`",
+                self.profile
             ));
         }
         blocks.extend(lead.iter().cloned());
@@ -101,7 +118,7 @@ mod tests {
     use super::*;
 
     const CAPTION: Caption<'_> =
-        Caption { title: "T", profile: "smoke", full_profile: "full", note: "a *note*\nof two lines\n" };
+        Caption { title: "T", profile: "smoke", full_profile: None, note: "a *note*\nof two lines\n" };
 
     #[test]
     fn only_a_reduced_profile_is_warned_about_and_both_are_named() {
@@ -114,6 +131,16 @@ mod tests {
     }
 
     #[test]
+    fn the_profile_of_a_file_without_profiles_is_full_unless_the_file_says_otherwise() {
+        assert_eq!(reduced_from("default", None), None);
+        assert_eq!(reduced_from("default", Some("full")), Some("full"));
+        assert_eq!(reduced_from("full", None), None);
+        assert_eq!(reduced_from("smoke", None), Some("full"));
+        assert_eq!(reduced_from("full", Some("thesis")), Some("thesis"));
+        assert_eq!(reduced_from("thesis", Some("thesis")), None);
+    }
+
+    #[test]
     fn a_note_stands_under_the_table_as_one_paragraph() {
         assert!(CAPTION.page(&[], "| t |\n", &[]).ends_with("\n\na \\*note\\* of two lines\n"));
     }
@@ -121,7 +148,7 @@ mod tests {
     #[test]
     fn an_empty_title_and_a_profile_that_is_no_name_are_refused() {
         let mut problems = Problems::default();
-        Caption { title: " \n", profile: "", full_profile: "a`b", note: "" }.check(&mut problems);
+        Caption { title: " \n", profile: "", full_profile: Some("a`b"), note: "" }.check(&mut problems);
         let paths: Vec<String> = problems.into_vec().iter().map(|p| p.path.join(".")).collect();
         assert_eq!(paths, ["title", "profile", "full_profile"]);
     }

@@ -26,13 +26,17 @@ pub struct CompareParams {
     pub title: String,
     /// The profile of the run; printed with the table.
     pub profile: String,
-    /// The profile with the sizes of the experiment. At any other the table states that its sizes are reduced.
-    #[serde(default = "caption::full_profile")]
-    pub full_profile: String,
+    /// The profile with the sizes of the experiment; at any other the table states that its sizes are reduced. Without it,
+    /// these are `full` and `default`, the profile of a file without `profiles`.
+    #[serde(default)]
+    pub full_profile: Option<String>,
     /// The label whose values are compared.
     pub axis: String,
     /// The value of the label that the others are compared with.
     pub base: String,
+    /// Decimals of this run's numbers in the Markdown table, 0 to 6; differences have one more. The CSV has two more.
+    #[serde(default)]
+    pub decimals: u8,
     /// A sentence to print under the Markdown table.
     #[serde(default)]
     pub note: String,
@@ -41,7 +45,7 @@ pub struct CompareParams {
 impl CompareParams {
     fn caption(&self) -> Caption<'_> {
         let Self { title, profile, full_profile, note, .. } = self;
-        Caption { title, profile, full_profile, note }
+        Caption { title, profile, full_profile: full_profile.as_deref(), note }
     }
 }
 
@@ -58,13 +62,14 @@ pub struct Compare;
 
 impl Describe for Compare {
     const KIND: &'static str = "compare";
-    const REVISION: u32 = 3;
-    const ABOUT: &'static str = "compares evaluations on the same tracks, with ratio and paired difference";
+    const REVISION: u32 = 4;
+    const ABOUT: &'static str = "compares evaluations of the same seeds, with ratio and paired difference";
     const SEEDED: bool = false;
     type Params = CompareParams;
 
     fn check(params: &CompareParams, problems: &mut Problems) {
         params.caption().check(problems);
+        caption::check_decimals(params.decimals, problems);
         for (field, value) in [("axis", &params.axis), ("base", &params.base)] {
             if value.trim().is_empty() {
                 problems.add(field, format!("`{field}` is empty, expected a label's name or value"));
@@ -188,6 +193,7 @@ fn csv_text(
     names: &[&str],
     lines: &[Line<'_>],
 ) -> Result<Vec<u8>, Box<dyn std::error::Error>> {
+    let number = |value: f64| precise(value, params.decimals);
     let mut writer = csv::Writer::from_writer(Vec::new());
     writer.write_record(names.iter().copied().chain([params.axis.as_str()]).chain(VALUES))?;
     for line in lines {
@@ -195,13 +201,13 @@ fn csv_text(
         let summary = line.evaluation.summary;
         let (difference, error) = line.difference;
         let values = [
-            precise(summary.mean),
-            precise(summary.std),
+            number(summary.mean),
+            number(summary.std),
             summary.episodes.to_string(),
             u8::from(line.evaluation.diverged()).to_string(),
             fixed(line.ratio, 4),
-            precise(difference),
-            error.map_or_else(String::new, precise),
+            number(difference),
+            error.map_or_else(String::new, number),
         ];
         writer.write_record(labels.chain(values.iter().map(String::as_str)))?;
     }
@@ -216,7 +222,8 @@ fn page(params: &CompareParams, names: &[&str], lines: &[Line<'_>]) -> String {
     let mut columns: Vec<Column> =
         names.iter().map(|name| Column::words(name, lines.iter().map(|line| label(line, name)))).collect();
     columns.push(Column::words(&params.axis, lines.iter().map(|line| line.evaluation.value)));
-    let scores: Vec<_> = lines.iter().map(|line| Some(Score::measured(&line.evaluation.summary))).collect();
+    let score = |line: &Line<'_>| Some(Score::measured(&line.evaluation.summary, params.decimals));
+    let scores: Vec<_> = lines.iter().map(score).collect();
     columns.push(Column::scores("score", &scores));
     let is_base = |line: &Line<'_>| line.evaluation.value == params.base;
     columns.push(Column::words(
@@ -226,12 +233,13 @@ fn page(params: &CompareParams, names: &[&str], lines: &[Line<'_>]) -> String {
             false => format!("{} %", fixed(100.0 * line.ratio, 1)),
         }),
     ));
+    let points = |value: f64| fixed(value, usize::from(params.decimals) + 1);
     columns.push(Column::words(
         "difference",
         lines.iter().map(|line| match (is_base(line), line.difference) {
             (true, _) => String::new(),
-            (false, (mean, Some(error))) => format!("{} ± {}", fixed(mean, 1), fixed(error, 1)),
-            (false, (mean, None)) => fixed(mean, 1),
+            (false, (mean, Some(error))) => format!("{} ± {}", points(mean), points(error)),
+            (false, (mean, None)) => points(mean),
         }),
     ));
     let base = escape(&format!("{} = {}", params.axis, params.base));

@@ -24,13 +24,17 @@ pub struct LeaderboardParams {
     pub title: String,
     /// The profile of the run; printed with the table.
     pub profile: String,
-    /// The profile with the sizes of the experiment. At any other the table states that its sizes are reduced.
-    #[serde(default = "caption::full_profile")]
-    pub full_profile: String,
+    /// The profile with the sizes of the experiment; at any other the table states that its sizes are reduced. Without it,
+    /// these are `full` and `default`, the profile of a file without `profiles`.
+    #[serde(default)]
+    pub full_profile: Option<String>,
     /// The source that this run reproduces: its rows of the reference are merged into the rows of this run with the same
     /// algorithm.
     #[serde(default = "caption::reference_name")]
     pub reference_name: String,
+    /// Decimals of this run's numbers in the Markdown table, 0 to 6. The CSV has two more.
+    #[serde(default)]
+    pub decimals: u8,
     /// A sentence to print under the Markdown table.
     #[serde(default)]
     pub note: String,
@@ -39,7 +43,7 @@ pub struct LeaderboardParams {
 impl LeaderboardParams {
     fn caption(&self) -> Caption<'_> {
         let Self { title, profile, full_profile, note, .. } = self;
-        Caption { title, profile, full_profile, note }
+        Caption { title, profile, full_profile: full_profile.as_deref(), note }
     }
 }
 
@@ -51,19 +55,20 @@ impl LeaderboardParams {
 /// this run's row (`reference_mean`, `reference_std`) and not in one of its own.
 ///
 /// Outputs: `csv` with the columns `algorithm,mean,std,episodes,diverged,source,reference_mean,reference_std` (this run's
-/// numbers with two decimals, published ones as the reference writes them; `episodes` and `diverged` are empty for those),
+/// numbers with `decimals` + 2 decimals, published ones as the reference writes them; `episodes` and `diverged` are empty for those),
 /// and `markdown`.
 pub struct Leaderboard;
 
 impl Describe for Leaderboard {
     const KIND: &'static str = "leaderboard";
-    const REVISION: u32 = 3;
+    const REVISION: u32 = 4;
     const ABOUT: &'static str = "lists published results, followed by evaluations of this run";
     const SEEDED: bool = false;
     type Params = LeaderboardParams;
 
     fn check(params: &LeaderboardParams, problems: &mut Problems) {
         params.caption().check(problems);
+        caption::check_decimals(params.decimals, problems);
         caption::check_reference_name(&params.reference_name, problems);
     }
 
@@ -93,7 +98,7 @@ impl Stage for Leaderboard {
         let groups = samples::pool(&samples, &[NAME.to_owned()], hint)?;
         let reference = Reference::read(ctx.input(reference::PORT)?, &["algorithm", "source"])?;
         let entries = entries(&groups, &reference, &params.reference_name);
-        ctx.write_output("csv", csv_text(&entries).map_err(StageError::failed)?)?;
+        ctx.write_output("csv", csv_text(params, &entries).map_err(StageError::failed)?)?;
         ctx.write_output("markdown", page(params, &entries))
     }
 }
@@ -142,10 +147,10 @@ impl Entry<'_> {
         }
     }
 
-    fn score(&self) -> Option<Score> {
+    fn score(&self, decimals: u8) -> Option<Score> {
         match self {
-            Self::Published(row) => Score::published(row),
-            Self::Ours { group, .. } => Some(Score::measured(&group.summary)),
+            Self::Published(row) => Score::published(row, decimals),
+            Self::Ours { group, .. } => Some(Score::measured(&group.summary, decimals)),
         }
     }
 }
@@ -161,13 +166,17 @@ fn entries<'a>(groups: &'a [Group], reference: &'a Reference, name: &str) -> Vec
     literature.chain(ours).collect()
 }
 
-fn csv_text(entries: &[Entry<'_>]) -> Result<Vec<u8>, Box<dyn std::error::Error>> {
+fn csv_text(
+    params: &LeaderboardParams,
+    entries: &[Entry<'_>],
+) -> Result<Vec<u8>, Box<dyn std::error::Error>> {
+    let number = |value: f64| precise(value, params.decimals);
     let mut writer = csv::Writer::from_writer(Vec::new());
     writer.write_record(COLUMNS)?;
     for entry in entries {
         let (mean, std) = match entry {
             Entry::Published(row) => (text(row.mean.as_ref()), text(row.std.as_ref())),
-            Entry::Ours { group, .. } => (precise(group.summary.mean), precise(group.summary.std)),
+            Entry::Ours { group, .. } => (number(group.summary.mean), number(group.summary.std)),
         };
         let count = |number: Option<usize>| number.map_or_else(String::new, |n| n.to_string());
         let (episodes, diverged) = (count(entry.episodes()), count(entry.diverged()));
@@ -185,9 +194,10 @@ fn text(number: Option<&Published>) -> String {
 }
 
 fn page(params: &LeaderboardParams, entries: &[Entry<'_>]) -> String {
-    let scores: Vec<Option<Score>> = entries.iter().map(Entry::score).collect();
-    let beside: Vec<Option<Score>> =
-        entries.iter().map(|entry| entry.beside().and_then(Score::published)).collect();
+    let decimals = params.decimals;
+    let scores: Vec<Option<Score>> = entries.iter().map(|entry| entry.score(decimals)).collect();
+    let beside = |entry: &Entry<'_>| Score::published(entry.beside()?, decimals);
+    let beside: Vec<Option<Score>> = entries.iter().map(beside).collect();
     let table = markdown::table(&[
         Column::words("algorithm", entries.iter().map(Entry::algorithm)),
         Column::words("source", entries.iter().map(Entry::source)),

@@ -24,8 +24,8 @@ pub(crate) struct Cell<'a> {
 }
 
 impl Cell<'_> {
-    fn published(&self) -> Option<Score> {
-        self.published.and_then(Score::published)
+    fn published(&self, decimals: u8) -> Option<Score> {
+        Score::published(self.published?, decimals)
     }
 }
 
@@ -41,6 +41,15 @@ pub(crate) fn sort_by_appearance<T>(items: &mut [T], key: impl Fn(&T) -> &[Strin
     items.sort_by_cached_key(rank);
 }
 
+/// How the values of a grid are printed.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Style<'a> {
+    /// What stands before published values.
+    pub(crate) source: &'a str,
+    /// Decimals of what this run gave.
+    pub(crate) decimals: u8,
+}
+
 /// The grid of a table.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Pivot {
@@ -54,8 +63,7 @@ pub(crate) struct Pivot {
 
 impl Pivot {
     /// The grid of `cells` (sorted, one for a key): the keys of `across` run across, in that order, the others down.
-    /// Published values have `source` before them.
-    pub(crate) fn new(keys: &[String], across: &[String], source: &str, cells: &[Cell<'_>]) -> Self {
+    pub(crate) fn new(keys: &[String], across: &[String], style: Style<'_>, cells: &[Cell<'_>]) -> Self {
         let position = |name: &String| keys.iter().position(|key| key == name);
         let constant = |at: &usize| cells.iter().all(|cell| cell.key.get(*at) == cells[0].key.get(*at));
         let (fixed, varying): (Vec<usize>, Vec<usize>) = (0..keys.len()).partition(constant);
@@ -68,7 +76,7 @@ impl Pivot {
             columns: distinct(cells, &across),
             down,
             across,
-            source,
+            style,
             cells,
         };
         Self {
@@ -91,7 +99,7 @@ impl Pivot {
 /// The cells, with the positions of the keys that run down and across, and the values that those take together.
 struct Grid<'a> {
     keys: &'a [String],
-    source: &'a str,
+    style: Style<'a>,
     cells: &'a [Cell<'a>],
     down: Vec<usize>,
     across: Vec<usize>,
@@ -107,7 +115,8 @@ impl Grid<'_> {
     /// The lines to print: every row, and under it the published values where there is one.
     fn lines(&self) -> Vec<(usize, bool)> {
         let known = |row: &Vec<String>| {
-            self.columns.iter().any(|column| self.cell(row, column).is_some_and(|c| c.published().is_some()))
+            let mut cells = self.columns.iter().filter_map(|column| self.cell(row, column));
+            cells.any(|cell| cell.published(self.style.decimals).is_some())
         };
         let lines = |(n, row)| if known(row) { vec![(n, false), (n, true)] } else { vec![(n, false)] };
         self.rows.iter().enumerate().flat_map(lines).collect()
@@ -118,14 +127,19 @@ impl Grid<'_> {
         let mut columns: Vec<Column> =
             (0..self.down.len()).map(|level| self.row_labels(level, &lines)).collect();
         if lines.iter().any(|(_, published)| *published) {
-            let source = lines.iter().map(|(_, published)| if *published { self.source } else { OURS });
+            let source = lines.iter().map(|(_, published)| if *published { self.style.source } else { OURS });
             columns.push(Column::words("source", source));
         }
         columns.extend(self.columns.iter().map(|column| {
             let header = if column.is_empty() { "score".to_owned() } else { column.join(" · ") };
             let score = |(row, published): &(usize, bool)| {
                 let cell = self.cell(&self.rows[*row], column)?;
-                if *published { cell.published() } else { Some(Score::measured(&cell.summary)) }
+                let decimals = self.style.decimals;
+                if *published {
+                    cell.published(decimals)
+                } else {
+                    Some(Score::measured(&cell.summary, decimals))
+                }
             };
             Column::scores(&header, &lines.iter().map(score).collect::<Vec<_>>())
         }));
@@ -165,6 +179,8 @@ mod tests {
     use super::*;
     use crate::markdown;
     use proptest::prelude::*;
+
+    const STYLE: Style<'_> = Style { source: "paper", decimals: 0 };
 
     fn keys(names: &[&str]) -> Vec<String> {
         names.iter().map(|name| (*name).to_owned()).collect()
@@ -220,7 +236,7 @@ mod tests {
             across in prop::sample::subsequence(vec!["x", "y", "z"], 0..=3).prop_shuffle(),
         ) {
             let cells = cells(&places[..taken]);
-            let pivot = Pivot::new(&keys(&["x", "y", "z"]), &keys(&across), "paper", &cells);
+            let pivot = Pivot::new(&keys(&["x", "y", "z"]), &keys(&across), STYLE, &cells);
             let mut expected: Vec<(Vec<String>, String)> =
                 cells.iter().map(|cell| (cell.key.clone(), cell.summary.mean.to_string())).collect();
             expected.sort();
@@ -230,7 +246,7 @@ mod tests {
 
     #[test]
     fn the_lead_names_what_is_fixed_and_what_runs_across() {
-        let pivot = Pivot::new(&keys(&["x", "y", "z"]), &keys(&["z", "y"]), "paper", &cells(&[0, 3, 9]));
+        let pivot = Pivot::new(&keys(&["x", "y", "z"]), &keys(&["z", "y"]), STYLE, &cells(&[0, 3, 9]));
         assert_eq!(pivot.lead(), ["x: x0", "columns: z · y"]);
     }
 }

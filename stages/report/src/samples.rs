@@ -140,6 +140,25 @@ pub(crate) fn pooled_over(samples: &[Sample<'_>], keys: &[String]) -> Vec<(Strin
     axes
 }
 
+/// How many of these evaluations have the same bytes as another one of them.
+///
+/// # Errors
+/// A file cannot be read.
+pub(crate) fn twins<'s, 'a: 's>(
+    samples: impl IntoIterator<Item = &'s Sample<'a>>,
+) -> Result<usize, StageError> {
+    let mut files: Vec<(Vec<u8>, usize)> = Vec::new();
+    for sample in samples {
+        let path = sample.item.path;
+        let bytes = std::fs::read(path).map_err(StageError::io("cannot read", path))?;
+        match files.iter_mut().find(|(other, _)| *other == bytes) {
+            Some((_, count)) => *count += 1,
+            None => files.push((bytes, 1)),
+        }
+    }
+    Ok(files.iter().map(|(_, count)| *count).filter(|count| *count > 1).sum())
+}
+
 /// `expert=clipped, mode=stochastic`, or `none`.
 pub(crate) fn describe(labels: &Labels) -> String {
     if labels.is_empty() {

@@ -1,7 +1,7 @@
-//! A `mean ± std` as it is shown to people: rounded to whole numbers, as in the thesis.
+//! A `mean ± std` as it is shown to people: by default rounded to whole numbers, as in the thesis.
 
-use crate::number::rounded;
-use crate::reference::Row;
+use crate::number::{fixed, rounded};
+use crate::reference::{Published, Row};
 use crate::stats::Summary;
 
 /// A mean, and a standard deviation where one is known.
@@ -12,15 +12,20 @@ pub(crate) struct Score {
 }
 
 impl Score {
-    /// What this run measured.
-    pub(crate) fn measured(summary: &Summary) -> Self {
-        Self { mean: rounded(summary.mean), std: Some(rounded(summary.std)) }
+    /// What this run measured, with this many decimals.
+    pub(crate) fn measured(summary: &Summary, decimals: u8) -> Self {
+        let number = |value: f64| fixed(value, decimals.into());
+        Self { mean: number(summary.mean), std: Some(number(summary.std)) }
     }
 
-    /// What was published; `None` where no mean was.
-    pub(crate) fn published(row: &Row) -> Option<Self> {
-        let mean = rounded(row.mean.as_ref()?.value);
-        Some(Self { mean, std: row.std.as_ref().map(|std| rounded(std.value)) })
+    /// What was published, beside numbers with this many decimals; `None` where no mean was. Beside whole numbers it is
+    /// one too; otherwise it keeps its digits, as nobody knows the digits that a published number lacks.
+    pub(crate) fn published(row: &Row, decimals: u8) -> Option<Self> {
+        let number = |number: &Published| match decimals {
+            0 => rounded(number.value),
+            _ => number.text.clone(),
+        };
+        Some(Self { mean: number(row.mean.as_ref()?), std: row.std.as_ref().map(number) })
     }
 
     /// With the standard deviation padded to `widest` characters, so that the signs of a column stand one under the

@@ -148,7 +148,7 @@ fn ranking_text(ranked: &[Judged<'_>], axes: &BTreeSet<&str>) -> Result<Vec<u8>,
     writer.write_record(axes.iter().copied().chain(VALUES))?;
     for (n, Judged { candidate, summary, diverged }) in ranked.iter().enumerate() {
         let labels = axes.iter().map(|axis| candidate.labels.get(*axis).map_or("", String::as_str));
-        let (mean, std) = (precise(summary.mean), precise(summary.std));
+        let (mean, std) = (precise(summary.mean, 0), precise(summary.std, 0));
         let (episodes, diverged) = (summary.episodes.to_string(), u8::from(*diverged).to_string());
         let chosen = (n == 0).to_string();
         writer.write_record(labels.chain([mean.as_str(), &std, &episodes, &diverged, &chosen]))?;

@@ -12,7 +12,7 @@ use serde_json::Value;
 use crate::caption::{self, Caption, divergence, statistic};
 use crate::markdown::{self, escape};
 use crate::number::precise;
-use crate::pivot::{Cell, Pivot, sort_by_appearance};
+use crate::pivot::{Cell, Pivot, Style, sort_by_appearance};
 use crate::reference::{self, Published, Reference, Row};
 use crate::samples::{self, Group, Sample};
 
@@ -28,9 +28,10 @@ pub struct TableParams {
     pub title: String,
     /// The profile of the run; printed with the table.
     pub profile: String,
-    /// The profile with the sizes of the experiment. At any other the table states that its sizes are reduced.
-    #[serde(default = "caption::full_profile")]
-    pub full_profile: String,
+    /// The profile with the sizes of the experiment; at any other the table states that its sizes are reduced. Without it,
+    /// these are `full` and `default`, the profile of a file without `profiles`.
+    #[serde(default)]
+    pub full_profile: Option<String>,
     /// The labels that identify a cell: the first columns of the CSV, in this order. Evaluations that differ only in other
     /// labels, such as a seed, are pooled into one cell.
     pub keys: Vec<String>,
@@ -40,6 +41,9 @@ pub struct TableParams {
     /// The source of the published values, as the Markdown table names it.
     #[serde(default = "caption::reference_name")]
     pub reference_name: String,
+    /// Decimals of this run's numbers in the Markdown table, 0 to 6. The CSV has two more.
+    #[serde(default)]
+    pub decimals: u8,
     /// A sentence to print under the Markdown table.
     #[serde(default)]
     pub note: String,
@@ -48,7 +52,7 @@ pub struct TableParams {
 impl TableParams {
     fn caption(&self) -> Caption<'_> {
         let Self { title, profile, full_profile, note, .. } = self;
-        Caption { title, profile, full_profile, note }
+        Caption { title, profile, full_profile: full_profile.as_deref(), note }
     }
 }
 
@@ -59,8 +63,8 @@ impl TableParams {
 /// row of the reference have empty `reference_mean` and `reference_std`.
 ///
 /// Outputs: `csv` with the columns `<keys>,mean,std,episodes,trainings,mean_error,diverged,reference_mean,reference_std`
-/// (`mean`, `std` and `mean_error` with two decimals, published numbers as the reference writes them), and `markdown`, the
-/// same in whole numbers. `std` is the population standard deviation over the episodes (see
+/// (`mean`, `std` and `mean_error` with `decimals` + 2 decimals, published numbers as the reference writes them), and
+/// `markdown`, the same with `decimals`. `std` is the population standard deviation over the episodes (see
 /// [`crate::stats::Summary::std`]), `mean_error` the standard error of the mean over the trainings of the cell, and empty
 /// for one training.
 ///
@@ -69,13 +73,14 @@ pub struct Table;
 
 impl Describe for Table {
     const KIND: &'static str = "table";
-    const REVISION: u32 = 3;
+    const REVISION: u32 = 4;
     const ABOUT: &'static str = "tabulates evaluations by their labels, next to published values";
     const SEEDED: bool = false;
     type Params = TableParams;
 
     fn check(params: &TableParams, problems: &mut Problems) {
         params.caption().check(problems);
+        caption::check_decimals(params.decimals, problems);
         caption::check_reference_name(&params.reference_name, problems);
         check_keys(&params.keys, problems);
         for (n, column) in params.columns.iter().enumerate() {
@@ -114,7 +119,8 @@ impl Stage for Table {
         let reference = read_reference(params, ctx.optional_input(reference::PORT))?;
         let cells = cells(&groups, reference.as_ref());
         ctx.write_output("csv", csv_text(params, &cells).map_err(StageError::failed)?)?;
-        ctx.write_output("markdown", page(params, &samples, &groups, &cells, reference.is_some()))
+        let twins = twins(params, &samples, &cells)?;
+        ctx.write_output("markdown", page(params, &samples, &cells, twins, reference.is_some()))
     }
 }
 
@@ -175,16 +181,17 @@ fn cells<'a>(groups: &[Group], reference: Option<&'a Reference>) -> Vec<Cell<'a>
 }
 
 fn csv_text(params: &TableParams, cells: &[Cell<'_>]) -> Result<Vec<u8>, Box<dyn std::error::Error>> {
+    let number = |value: f64| precise(value, params.decimals);
     let mut writer = csv::Writer::from_writer(Vec::new());
     writer.write_record(params.keys.iter().map(String::as_str).chain(VALUES))?;
     for cell in cells {
         let published = |number: fn(&Row) -> &Option<Published>| {
             cell.published.and_then(|row| number(row).as_ref()).map_or("", |number| number.text.as_str())
         };
-        let (mean, std) = (precise(cell.summary.mean), precise(cell.summary.std));
+        let (mean, std) = (number(cell.summary.mean), number(cell.summary.std));
         let episodes = cell.summary.episodes.to_string();
         let (trainings, diverged) = (cell.trainings.to_string(), cell.diverged.to_string());
-        let error = cell.error.map_or_else(String::new, precise);
+        let error = cell.error.map_or_else(String::new, number);
         let (reference_mean, reference_std) = (published(|row| &row.mean), published(|row| &row.std));
         let values =
             [mean.as_str(), &std, &episodes, &trainings, &error, &diverged, reference_mean, reference_std];
@@ -196,15 +203,17 @@ fn csv_text(params: &TableParams, cells: &[Cell<'_>]) -> Result<Vec<u8>, Box<dyn
 fn page(
     params: &TableParams,
     samples: &[Sample<'_>],
-    groups: &[Group],
     cells: &[Cell<'_>],
+    twins: Option<String>,
     with_reference: bool,
 ) -> String {
-    let pivot = Pivot::new(&params.keys, &params.columns, &params.reference_name, cells);
+    let style = Style { source: &params.reference_name, decimals: params.decimals };
+    let pivot = Pivot::new(&params.keys, &params.columns, style, cells);
     let mut remarks = vec![statistic(cells.iter().map(|cell| cell.summary.episodes))];
-    if groups.iter().any(|group| group.evaluations > 1) {
+    if cells.iter().any(|cell| cell.trainings > 1) {
         remarks.push(pooling(samples, &params.keys));
     }
+    remarks.extend(twins);
     remarks.extend(divergence(&diverged(&params.keys, cells)));
     if with_reference {
         remarks.push(format!("{}: {}", escape(&params.reference_name), coverage(cells)));
@@ -219,13 +228,46 @@ fn pooling(samples: &[Sample<'_>], keys: &[String]) -> String {
     format!("the episodes of a cell are pooled over {}", axes.collect::<Vec<_>>().join(" and "))
 }
 
+/// Which cells pool evaluations of equal bytes; `None` where none does. Each counts as a training, so their error of the
+/// mean would be far too small, mostly because a seed is a label of the matrix and no argument of the program.
+fn twins(
+    params: &TableParams,
+    samples: &[Sample<'_>],
+    cells: &[Cell<'_>],
+) -> Result<Option<String>, StageError> {
+    let mut found = Vec::new();
+    for cell in cells.iter().filter(|cell| cell.trainings > 1) {
+        let labels = || params.keys.iter().zip(&cell.key);
+        let members = samples
+            .iter()
+            .filter(|sample| labels().all(|(key, value)| sample.item.labels.get(key) == Some(value)));
+        let equal = samples::twins(members)?;
+        if equal > 0 {
+            let name = escape(&name(&params.keys, cell));
+            found.push(format!("{equal} of the {} pooled into {name}", cell.trainings));
+        }
+    }
+    let axes = samples::pooled_over(samples, &params.keys);
+    let axes: Vec<String> = axes.iter().map(|(axis, _)| escape(axis)).collect();
+    Ok((!found.is_empty()).then(|| {
+        format!(
+            "**equal evaluations**: {} have the same bytes as another one of the cell; if they should differ, check \
+             that the value of {} reaches the program",
+            found.join("; "),
+            axes.join(" and ")
+        )
+    }))
+}
+
 /// The cells that hold agents whose training diverged.
 fn diverged(keys: &[String], cells: &[Cell<'_>]) -> Vec<String> {
-    let name = |cell: &Cell<'_>| {
-        let labels = keys.iter().zip(&cell.key).map(|(key, value)| format!("{key}={value}"));
-        labels.collect::<Vec<_>>().join(", ")
-    };
-    cells.iter().filter(|cell| cell.diverged > 0).map(name).collect()
+    cells.iter().filter(|cell| cell.diverged > 0).map(|cell| name(keys, cell)).collect()
+}
+
+/// `policy=beta, mode=stochastic`.
+fn name(keys: &[String], cell: &Cell<'_>) -> String {
+    let labels = keys.iter().zip(&cell.key).map(|(key, value)| format!("{key}={value}"));
+    labels.collect::<Vec<_>>().join(", ")
 }
 
 /// For how many of the cells the reference has a value.

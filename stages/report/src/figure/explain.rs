@@ -6,6 +6,7 @@ use super::layer::{self, Shape};
 use super::outside;
 use super::paint::MOST_POINTS;
 use super::params::{BandOf, Measure};
+use crate::caption;
 use crate::inference::Over;
 
 /// The titles of the axes.
@@ -77,10 +78,12 @@ pub(crate) fn notes(chart: &Chart<'_>) -> Vec<String> {
         notes.extend(letters.next().map(|first| format!("{}{}.", first.to_uppercase(), letters.as_str())));
     }
     notes.extend(panels(&params.rows, &params.columns));
-    if !params.profile.is_empty() && params.profile != params.full_profile {
+    if !params.profile.is_empty()
+        && let Some(full) = caption::reduced_from(&params.profile, params.full_profile.as_deref())
+    {
         notes.push(format!(
-            "Profile {}: sizes are reduced, so values are not those of profile {}.",
-            params.profile, params.full_profile
+            "Profile {}: sizes are reduced, so values are not those of profile {full}.",
+            params.profile
         ));
     }
     if !params.note.trim().is_empty() {

@@ -51,7 +51,7 @@ pub struct Figure;
 
 impl Describe for Figure {
     const KIND: &'static str = "figure";
-    const REVISION: u32 = 3;
+    const REVISION: u32 = 4;
     const ABOUT: &'static str = "draws CSV files as SVG, with panels, colours and lines by their labels";
     const SEEDED: bool = false;
     type Params = FigureParams;

@@ -58,12 +58,13 @@ pub struct FigureParams {
     /// A sentence to print under the figure.
     #[serde(default)]
     pub note: String,
-    /// The profile of the run. At any other than `full_profile` the figure states that its sizes are reduced.
+    /// The profile of the run.
     #[serde(default)]
     pub profile: String,
-    /// The profile with the sizes of the experiment.
-    #[serde(default = "crate::caption::full_profile")]
-    pub full_profile: String,
+    /// The profile with the sizes of the experiment; at any other the figure states that its sizes are reduced. Without it,
+    /// these are `full` and `default`, the profile of a file without `profiles`.
+    #[serde(default)]
+    pub full_profile: Option<String>,
 }
 
 /// An entry of `y`.

@@ -26,7 +26,7 @@ pub struct Findings;
 
 impl Describe for Findings {
     const KIND: &'static str = "findings";
-    const REVISION: u32 = 3;
+    const REVISION: u32 = 4;
     const ABOUT: &'static str = "tests claims about evaluations as one family, next to published values";
     const SEEDED: bool = false;
     type Params = FindingsParams;

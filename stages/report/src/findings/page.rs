@@ -80,7 +80,7 @@ fn labels(cells: &[Cell]) -> BTreeSet<&str> {
 
 /// Mean, lower and upper end, as cells of a table.
 fn interval(mean: Option<f64>, half: Option<f64>) -> [String; 3] {
-    let number = |value: Option<f64>| value.map_or_else(String::new, precise);
+    let number = |value: Option<f64>| value.map_or_else(String::new, |value| precise(value, 0));
     let end = |sign: f64| number(mean.zip(half).map(|(mean, half)| mean + sign * half));
     [number(mean), end(-1.0), end(1.0)]
 }
@@ -235,6 +235,7 @@ impl Page<'_> {
         }
         remarks.extend(divergence(&self.diverged()));
         let FindingsParams { title, profile, full_profile, note, .. } = self.params;
-        Caption { title, profile, full_profile, note }.page(&[], &markdown::table(&columns), &remarks)
+        let caption = Caption { title, profile, full_profile: full_profile.as_deref(), note };
+        caption.page(&[], &markdown::table(&columns), &remarks)
     }
 }

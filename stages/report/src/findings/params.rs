@@ -16,9 +16,10 @@ pub struct FindingsParams {
     pub title: String,
     /// The profile of the run; printed with the findings.
     pub profile: String,
-    /// The profile with the sizes of the experiment. At any other the page states that sizes are reduced.
-    #[serde(default = "crate::caption::full_profile")]
-    pub full_profile: String,
+    /// The profile with the sizes of the experiment; at any other the page states that sizes are reduced. Without it,
+    /// these are `full` and `default`, the profile of a file without `profiles`.
+    #[serde(default)]
+    pub full_profile: Option<String>,
     /// The labels that distinguish trainings of one cell, such as `seed`. Without any, each cell has one training, and
     /// findings hold for these policies only.
     #[serde(default)]
@@ -111,6 +112,7 @@ impl Relation {
 impl FindingsParams {
     pub(crate) fn check(&self, problems: &mut Problems) {
         let Self { title, profile, full_profile, note, .. } = self;
+        let full_profile = full_profile.as_deref();
         crate::caption::Caption { title, profile, full_profile, note }.check(problems);
         if self.claims.is_empty() {
             problems.add("claims", "`claims` is empty, expected at least one");

@@ -280,9 +280,10 @@ fn score_table(done: &[Pair<'_>]) -> Result<Markup, StageError> {
         @if !rows.is_empty() {
             h3 { "Scores" }
             p class="quiet" {
-                (differ) " of " (count(rows.len(), "evaluation")) " differ. Differences are A − B on the same tracks, with "
-                "their 95 % interval over the tracks: they hold for these policies, not for other trainings."
-                @if unpaired { " Where the tracks differ (*), they are differences of means." }
+                (differ) " of " (count(rows.len(), "evaluation")) " differ. Differences are A − B over episodes with the "
+                "same seed, with their 95 % interval over the episodes: they hold for these policies, not for other "
+                "trainings."
+                @if unpaired { " Where the seeds differ (*), they are differences of means." }
             }
             div class="wide" tabindex="0" role="region" aria-label="Scores of both runs" {
                 table {
@@ -364,7 +365,7 @@ mod tests {
     }
 
     #[test]
-    fn equal_tracks_are_pairs_whatever_their_order() {
+    fn equal_seeds_are_pairs_whatever_their_order() {
         let a: Vec<ScoreRow> = (0..40).map(|n| row(n, n as f64 + 1.0)).collect();
         let b: Vec<ScoreRow> = (0..40).rev().map(|n| row(n, n as f64)).collect();
         let scored = Scored::of(&a, &b).unwrap();

@@ -286,7 +286,7 @@ fn blank(title: String) -> FigureParams {
         y_title: String::new(),
         note: String::new(),
         profile: String::new(),
-        full_profile: String::new(),
+        full_profile: None,
     }
 }
 

@@ -29,6 +29,9 @@ struct Cell {
     diverged: usize,
     /// Mean and standard deviation as published.
     reference: Option<(f64, Option<f64>)>,
+    /// What is shown: this run's score, and the published one.
+    ours: String,
+    published: Option<String>,
 }
 
 /// The grid.
@@ -47,12 +50,21 @@ fn list(params: &Value, name: &str) -> Vec<String> {
 }
 
 impl Cell {
-    fn of(csv: &Csv, row: &[String]) -> Option<Self> {
+    /// A cell that is shown with this many decimals.
+    fn of(csv: &Csv, row: &[String], decimals: usize) -> Option<Self> {
         let number = |name: &str| csv.cell(row, name).parse::<f64>().ok();
         // The published columns were once called after the thesis.
-        let either =
-            |what: &str| number(&format!("reference_{what}")).or_else(|| number(&format!("thesis_{what}")));
-        let reference = either("mean").map(|mean| (mean, either("std")));
+        let either = |what: &str| {
+            let names = [format!("reference_{what}"), format!("thesis_{what}")];
+            names.iter().find_map(|name| Some((number(name)?, csv.cell(row, name))))
+        };
+        let (mean, std) = (either("mean"), either("std"));
+        // As in the Markdown table, published numbers keep their digits beside decimals.
+        let published = |(value, text): (f64, &str)| match decimals {
+            0 => rounded(value),
+            _ => text.to_owned(),
+        };
+        let ours = |name: &str| number(name).map(|value| fixed(value, decimals));
         let whole = |name: &str| csv.cell(row, name).parse::<usize>().ok();
         Some(Self {
             mean: number("mean")?,
@@ -61,7 +73,9 @@ impl Cell {
             trainings: whole("trainings")?,
             error: number("mean_error"),
             diverged: whole("diverged")?,
-            reference,
+            reference: mean.map(|(mean, _)| (mean, std.map(|(std, _)| std))),
+            ours: score(&ours("mean")?, ours("std")),
+            published: mean.map(|mean| score(&published(mean), std.map(published))),
         })
     }
 
@@ -124,19 +138,19 @@ impl Cell {
         let title = (!notes.is_empty()).then(|| notes.join("; "));
         html! {
             span title=[title] {
-                (mark) (score(self.mean, Some(self.std))) @if self.diverged > 0 { (DIVERGED) }
+                (mark) (self.ours) @if self.diverged > 0 { (DIVERGED) }
             }
-            @if let Some((mean, std)) = self.reference {
-                span class="ref" { (score(mean, std)) }
+            @if let Some(published) = &self.published {
+                span class="ref" { (published) }
             }
         }
     }
 }
 
 /// `−12 ± 3`.
-fn score(mean: f64, std: Option<f64>) -> String {
-    let std = std.map_or_else(String::new, |std| format!(" ± {}", rounded(std)));
-    rounded(mean).replace('-', "−") + &std
+fn score(mean: &str, std: Option<String>) -> String {
+    let std = std.map_or_else(String::new, |std| format!(" ± {std}"));
+    mean.replace('-', "−") + &std
 }
 
 /// From −3 to 3: beyond one, two and three standard errors.
@@ -155,6 +169,9 @@ impl Grid {
     /// the whole table, in the order of the matrix.
     pub(crate) fn with_gaps(params: &Value, csv: &Csv, all: &[&Labels]) -> Option<Self> {
         let (keys, across) = (list(params, "keys"), list(params, "columns"));
+        // An older result has no such parameter. No more than the kind allows, whatever a file says.
+        let decimals =
+            params.get("decimals").and_then(Value::as_u64).map_or(0, |decimals| decimals.min(6) as usize);
         let mut grid = Self {
             down: keys.iter().filter(|key| !across.contains(key)).cloned().collect(),
             across,
@@ -181,7 +198,7 @@ impl Grid {
             };
             let (down, across) = (take(&grid.down), take(&grid.across));
             grid.add(&down, &across);
-            grid.cells.push((down, across, Cell::of(csv, row)?));
+            grid.cells.push((down, across, Cell::of(csv, row, decimals)?));
         }
         crate::pivot::sort_by_appearance(&mut grid.columns, Vec::as_slice);
         Some(grid)

@@ -67,3 +67,20 @@ fn what_cannot_be_compared_is_refused_with_its_labels() {
     let message = one(&[("place", "away")], &[1.0, 2.0]);
     assert!(message.contains("different seeds") && message.contains("`first_seed`"), "{message}");
 }
+
+#[test]
+fn differences_of_scores_between_0_and_1_have_the_decimals_that_are_asked_for() {
+    let params =
+        json!({ "title": "Losses", "profile": "default", "axis": "place", "base": "home", "decimals": 3 });
+    let bench = Bench::new::<Compare>(&params, 0).unwrap();
+    let home = fakes::scores(&bench, "home", &[0.5, 0.25]);
+    let away = fakes::scores(&bench, "away", &[0.5, 0.375]);
+    let bench =
+        bench.input("scores", &home, &[("place", "home")]).input("scores", &away, &[("place", "away")]);
+    bench.run().unwrap();
+    let csv = output(&bench, "csv");
+    assert!(csv.ends_with("away,0.43750,0.06250,2,0,1.1667,0.06250,0.06250\n"), "{csv}");
+    let page = output(&bench, "markdown");
+    assert!(page.contains("| away  | 0.438 ± 0.062 | 116.7 % | 0.0625 ± 0.0625 |"), "{page}");
+    assert!(!page.contains("reduced"), "{page}");
+}

@@ -311,3 +311,14 @@ fn a_region_is_grey_and_lies_behind_the_data() {
     assert!(at("fill-opacity=\"0.18\"") < at("#0072b2"), "{svg}");
     assert!(at("#0072b2") < at(">valid</text>"), "the label is readable over the data");
 }
+
+#[test]
+fn a_figure_of_a_file_without_profiles_says_nothing_of_reduced_sizes() {
+    let svg = |profile: &str, full: Option<&str>| {
+        let with = json!({ "title": "T", "preset": "episodes", "profile": profile, "full_profile": full });
+        drawn(&with, &[40]).0
+    };
+    assert!(!svg("default", None).contains("sizes are reduced"));
+    assert!(svg("default", Some("full")).contains("Profile default: sizes are reduced"));
+    assert!(svg("smoke", None).contains("not those of profile full"));
+}

@@ -381,3 +381,23 @@ fn a_cell_whose_training_diverged_is_marked() {
     lab.outcome.stages.truncate(1);
     assert!(!lab.page("sound").contains('†'));
 }
+
+#[test]
+fn a_table_of_scores_between_0_and_1_is_shown_with_its_decimals() {
+    let mut lab = Lab::new("default");
+    let mut evaluations = Vec::new();
+    for (rate, score) in [("0.1", 0.125), ("0.01", 0.25)] {
+        let rows: String = (0..40).map(|n| format!("{n},{n},{score},100,finished,\n")).collect();
+        let text = format!("episode,seed,score,steps,outcome,diverged_at_step\n{rows}");
+        let output = [("scores", Artifact::SCORES, "csv", text.as_bytes())];
+        evaluations.push((lab.stage("evaluate", "evaluate", &[("rate", rate)], &output), "scores"));
+    }
+    let reference = lab.folder.path().join("published.csv");
+    std::fs::write(&reference, "rate,mean,std\n0.1,0.1234567,0.5\n").unwrap();
+    let with = json!({ "title": "T", "profile": "default", "keys": ["rate"], "decimals": 3 });
+    lab.run::<Table>("table", "table", &with, "scores", &evaluations, Some(&reference));
+    let text = lab.page("decimals");
+    for part in ["0.125 ± 0.000", "0.250 ± 0.000", "0.1234567 ± 0.5"] {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+}

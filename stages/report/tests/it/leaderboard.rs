@@ -101,3 +101,21 @@ fn a_reference_with_other_columns_or_an_algorithm_twice_is_refused() {
         assert!(message.contains(part), "{message}");
     }
 }
+
+#[test]
+fn own_scores_have_the_decimals_that_are_asked_for_and_published_ones_their_own() {
+    let params =
+        json!({ "title": "Accuracy", "profile": "default", "reference_name": "paper", "decimals": 2 });
+    let bench = Bench::new::<Leaderboard>(&params, 0).unwrap();
+    let (scores, path) = (fakes::scores(&bench, "one", &[0.5, 0.75]), bench.folder().join("reference.csv"));
+    std::fs::write(&path, "algorithm,mean,std,source\nours,0.6,,paper\nsac,0.9125,0.1,Doe\n").unwrap();
+    let bench = bench.input("scores", &scores, &[("name", "ours")]).input("reference", &path, &[]);
+    bench.run().unwrap();
+    let csv = output(&bench, "csv");
+    assert!(csv.ends_with("sac,0.9125,0.1,,,Doe,,\nours,0.6250,0.1250,2,0,this run,0.6,\n"), "{csv}");
+    let page = output(&bench, "markdown");
+    for part in ["0.9125 ±  0.1", "0.62 ± 0.12", "|   0.6 |"] {
+        assert!(page.contains(part), "{part}: {page}");
+    }
+    assert!(!page.contains("reduced"), "{page}");
+}

@@ -201,6 +201,101 @@ fn labels_with_commas_quotes_and_bars_survive_both_formats() {
     assert!(output(&bench, "markdown").contains("policy: a\\|b"));
 }
 
+/// A table of these parameters over evaluations with the labels `rate` and `seed`.
+fn pooled(with: &Value, evaluations: &[(&str, &str, &[f64])]) -> Bench {
+    let mut bench = Bench::new::<Table>(with, 0).unwrap();
+    for (rate, seed, values) in evaluations {
+        let path = fakes::scores(&bench, &format!("{rate}-{seed}"), values);
+        bench = bench.input("scores", &path, &[("rate", rate), ("seed", seed)]);
+    }
+    bench.run().unwrap();
+    bench
+}
+
+#[test]
+fn a_file_without_profiles_is_not_warned_of_reduced_sizes() {
+    let page = |profile: &str, full: Option<&str>| {
+        let mut with = json!({"title": "T", "profile": profile, "keys": ["rate"]});
+        if let Some(full) = full {
+            with["full_profile"] = json!(full);
+        }
+        output(&pooled(&with, &[("1", "1", &[1.0])]), "markdown")
+    };
+    // What the engine calls the profile of a file without `profiles`.
+    let default = page("default", None);
+    assert!(!default.contains("reduced") && default.contains("- profile: `default`\n"), "{default}");
+    assert!(!page("full", None).contains("reduced"));
+    assert!(page("smoke", None).contains("not comparable with those at profile `full`"));
+    // A file with profiles of its own may call the small one `default`: it says which is the full one.
+    assert!(page("default", Some("full")).contains("not comparable with those at profile `full`"));
+}
+
+#[test]
+fn scores_between_0_and_1_have_the_decimals_that_are_asked_for() {
+    let with = json!({
+        "title": "Accuracy", "profile": "default", "reference_name": "paper", "keys": ["rate"], "decimals": 3,
+    });
+    let bench = [("0.1", "1", [0.25, 0.5]), ("0.1", "2", [0.75, 0.875]), ("0.01", "1", [1.0, 0.9990234375])]
+        .iter()
+        .fold(Bench::new::<Table>(&with, 0).unwrap(), |bench, (rate, seed, values)| {
+            let path = fakes::scores(&bench, &format!("{rate}-{seed}"), values);
+            bench.input("scores", &path, &[("rate", rate), ("seed", seed)])
+        });
+    let path = bench.folder().join("reference.csv");
+    std::fs::write(&path, "rate,mean,std\n0.1,0.61,0.2\n0.01,0.9876543,\n").unwrap();
+    let bench = bench.input("reference", &path, &[]);
+    bench.run().unwrap();
+    insta::assert_snapshot!("decimals_csv", output(&bench, "csv"));
+    insta::assert_snapshot!("decimals_markdown", output(&bench, "markdown"));
+}
+
+#[test]
+fn without_decimals_numbers_are_as_with_0_of_them() {
+    let evaluations: [(&str, &str, &[f64]); 2] = [("1", "1", &[0.5, 0.5]), ("2", "1", &[1.125, 2.5])];
+    let mut with = json!({"title": "T", "profile": "full", "keys": ["rate"]});
+    let implicit = pooled(&with, &evaluations);
+    with["decimals"] = json!(0);
+    let explicit = pooled(&with, &evaluations);
+    for port in ["csv", "markdown"] {
+        assert_eq!(output(&implicit, port), output(&explicit, port));
+    }
+    // Ties go to the even neighbour.
+    assert!(output(&implicit, "markdown").contains("| 1    | 0 ± 0 |"), "{}", output(&implicit, "markdown"));
+}
+
+#[test]
+fn more_decimals_than_a_score_can_have_are_refused() {
+    let with = json!({"title": "T", "profile": "p", "keys": ["rate"], "decimals": 7});
+    let problems = Kind::of::<Table>().normalize(&with).unwrap_err();
+    assert_eq!(problems[0].message, "`decimals` is 7, expected 0 to 6");
+    for wrong in [json!(-1), json!(300), json!(1.5)] {
+        let with = json!({"title": "T", "profile": "p", "keys": ["rate"], "decimals": wrong});
+        let problems = Kind::of::<Table>().normalize(&with).unwrap_err();
+        assert_eq!(problems[0].path, ["decimals"]);
+    }
+}
+
+#[test]
+fn trainings_of_equal_bytes_in_one_cell_are_named() {
+    let with = json!({"title": "T", "profile": "full", "keys": ["rate"]});
+    let page = |evaluations: &[(&str, &str, &[f64])]| output(&pooled(&with, evaluations), "markdown");
+    let some = page(&[
+        ("1", "1", &[0.5, 0.6]),
+        ("1", "2", &[0.5, 0.6]),
+        ("1", "3", &[0.6, 0.5]),
+        ("2", "1", &[0.5, 0.6]),
+        ("2", "2", &[0.7, 0.8]),
+    ]);
+    let expected = "- **equal evaluations**: 2 of the 3 pooled into rate=1 have the same bytes as another one of the cell; \
+                    if they should differ, check that the value of seed reaches the program\n";
+    assert!(some.contains(expected), "{some}");
+    let both = page(&[("1", "1", &[0.5]), ("1", "2", &[0.5]), ("2", "1", &[0.5]), ("2", "2", &[0.5])]);
+    assert!(both.contains("2 of the 2 pooled into rate=1; 2 of the 2 pooled into rate=2 have"), "{both}");
+    // Equal evaluations in two cells are no repetitions.
+    let none = page(&[("1", "1", &[0.5]), ("1", "2", &[0.6]), ("2", "1", &[0.5]), ("2", "2", &[0.6])]);
+    assert!(!none.contains("equal evaluations"), "{none}");
+}
+
 #[test]
 fn an_evaluation_without_a_label_of_the_keys_is_named() {
     let bench = table(&params("T", &[]), &[("policy", "beta")]);
