@@ -34,6 +34,18 @@ pub(super) struct AxisValue {
     pub fields: Option<Node>,
 }
 
+impl AxisValue {
+    /// Its text, or that of the field at the path; `None` where that is no scalar.
+    pub fn text(&self, path: &[&str]) -> Option<Arc<str>> {
+        let Some((first, rest)) = path.split_first() else { return Some(self.label.clone()) };
+        let mut node = self.fields.as_ref()?.get(first)?.1;
+        for name in rest {
+            node = node.get(name)?.1;
+        }
+        node.scalar_text()
+    }
+}
+
 /// All axes under `axes`; `None` for an invalid one, which was reported.
 #[derive(Debug, Default)]
 pub(super) struct Axes(pub HashMap<Arc<str>, Option<Axis>>);

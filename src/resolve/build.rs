@@ -26,6 +26,8 @@ pub(super) fn graph(
     if !filler.problems.is_empty() {
         return None;
     }
+    let empty = stages.iter().filter(|stage| stage.instances.is_empty());
+    let left_out = empty.map(|stage| stage.stage.name.text.clone()).collect();
     let mut graph = DiGraph::with_capacity(wires.len(), wires.len());
     let mut wires = wires.into_iter();
     for mut stage in stages {
@@ -38,6 +40,8 @@ pub(super) fn graph(
     Some(Graph {
         pipeline: globals.pipeline.to_string(),
         profile: globals.profile.to_string(),
+        left_out,
+        sweeps: context.layers.swept(),
         stages: graph,
     })
 }

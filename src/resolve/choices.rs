@@ -7,7 +7,7 @@ use std::sync::Arc;
 use super::Choices;
 use crate::spec::Spec;
 use crate::spec::layer::{self, Known};
-use crate::spec::model::{Defaults, Layer, MatrixAxis};
+use crate::spec::model::{Defaults, Layer, MatrixAxis, Profile};
 use crate::spec::names;
 use crate::spec::node::{Key, Node, Value};
 use crate::spec::problem::{Problem, ProblemList};
@@ -16,7 +16,7 @@ use crate::spec::suggest;
 use crate::spec::yaml;
 
 /// The profile of a file that has none.
-const DEFAULT: &str = "default";
+pub(super) const DEFAULT: &str = "default";
 
 /// The layers of values: the files, the profile, then each `--set`.
 pub(super) struct Layers<'a> {
@@ -111,9 +111,23 @@ impl<'a> Layers<'a> {
         Self { profile, files: &spec.files, chosen, set, sweeps }
     }
 
+    /// The layers of the files, and those of a profile.
+    pub fn under(spec: &'a Spec, profile: Option<&'a Profile>) -> Self {
+        let (profile, chosen) = profile.map_or((DEFAULT.into(), &[] as &[Layer]), |profile| {
+            (profile.name.text.clone(), profile.layers.as_slice())
+        });
+        Self { profile, files: &spec.files, chosen, set: Vec::new(), sweeps: Vec::new() }
+    }
+
     /// The axes that a stage has because of a sweep.
     pub fn sweeps(&self, stage: &str) -> impl Iterator<Item = &MatrixAxis> {
         self.sweeps.iter().filter(move |sweep| &*sweep.stage == stage).map(|sweep| &sweep.axis)
+    }
+
+    /// The axes of all sweeps.
+    pub fn swept(&self) -> Vec<Arc<str>> {
+        let names: BTreeSet<_> = self.sweeps.iter().map(|sweep| sweep.axis.name.text.clone()).collect();
+        names.into_iter().collect()
     }
 
     /// True for the axis of a sweep.

@@ -1,5 +1,6 @@
 //! What resolving needs everywhere: the file, the choices, the kinds, and the values of params and axes.
 
+use std::cell::OnceCell;
 use std::collections::HashMap;
 use std::sync::Arc;
 
@@ -27,6 +28,8 @@ pub(super) struct ResolveContext<'a> {
     pub seed: Option<u64>,
     /// The choices of the command line, with the environment of the run.
     pub choices: &'a Choices,
+    /// Params and axes under all profiles; made when they are first needed.
+    pub elsewhere: OnceCell<Vec<(Globals, Axes)>>,
 }
 
 impl<'a> ResolveContext<'a> {

@@ -18,6 +18,10 @@ pub struct Graph {
     pub pipeline: String,
     /// The profile that it was resolved with.
     pub profile: String,
+    /// Stages without any instance, because their `when` is false, in the order of the file.
+    pub left_out: Vec<Arc<str>>,
+    /// Axes that `--set` added to stages, as in `--set dril.quantile=0.95,0.98`.
+    pub sweeps: Vec<Arc<str>>,
     /// Stage instances; an edge runs from a stage to one that reads its outputs.
     pub stages: DiGraph<StageInstance, (), u32>,
 }

@@ -6,11 +6,12 @@ use std::collections::{BTreeSet, HashMap};
 use super::axes::{Axis, AxisValue};
 use super::context::{MAX_INSTANCES, ResolveContext};
 use super::matrix::{self, Matrix};
-use super::scope::{Filler, Scope};
-use super::template::{self, Path};
+use super::rules::{maps, one_or_more, value_hint};
+use super::scope::Filler;
+use super::when;
 use crate::spec::model::Stage;
 use crate::spec::names;
-use crate::spec::node::{Key, Node, Value};
+use crate::spec::node::{Key, Node};
 use crate::spec::problem::Problem;
 use crate::spec::source::Span;
 use crate::spec::suggest;
@@ -42,6 +43,12 @@ impl Grid {
     fn listed(axes: Vec<Axis>, list: Vec<Cell>) -> Self {
         let index = list.iter().cloned().zip(0..).collect();
         Self { axes, cells: Cells::Listed { list, index } }
+    }
+
+    /// Those of its instances.
+    fn keep(self, instances: &[usize]) -> Self {
+        let Cells::Listed { list, .. } = self.cells else { return self };
+        Self::listed(self.axes, instances.iter().map(|number| list[*number].clone()).collect())
     }
 
     /// The axes, in the order of the matrix.
@@ -169,7 +176,11 @@ pub(super) fn grid<'a>(
     }
     let grid = Grid::listed(axes, cells);
     match &rules.when {
-        Some(node) => when(node, stage, grid, context, filler),
+        Some(node) => {
+            let instances = (0..grid.len()).map(|number| grid.coordinates(number));
+            let kept = when::kept(node, stage, &grid.axes, instances, context, filler)?;
+            Some(grid.keep(&kept))
+        }
         None => Some(grid),
     }
 }
@@ -185,32 +196,6 @@ fn fits<'l>(lengths: impl Iterator<Item = &'l usize>, stage: &Stage, filler: &mu
         Problem::new(stage.name.span, message).hint("does it have too many axes?")
     });
     None
-}
-
-/// The maps of a rule: one, or a list of them.
-fn maps<'n>(node: &'n Node, what: &str, filler: &mut Filler<'_>) -> Option<Vec<&'n [(Key, Node)]>> {
-    let items =
-        if let Value::List(items) = &node.value { items.as_slice() } else { std::slice::from_ref(node) };
-    let mut maps = Vec::new();
-    for item in items {
-        let Value::Map(entries) = &item.value else {
-            filler.problems.add(|| {
-                Problem::new(
-                    item.span,
-                    format!("found {} in `{what}`, expected a map of axes and values", item.describe()),
-                )
-                .hint(format!("as in `{what}: [{{ expert: clipped, seed: [1, 2] }}]`"))
-            });
-            return None;
-        };
-        maps.push(entries.as_slice());
-    }
-    Some(maps)
-}
-
-/// A value, or each of a list.
-fn one_or_more(node: &Node) -> &[Node] {
-    if let Value::List(items) = &node.value { items } else { std::slice::from_ref(node) }
 }
 
 fn axis_of(key: &Key, what: &str, stage: &Stage, axes: &[Axis], filler: &mut Filler<'_>) -> Option<usize> {
@@ -273,7 +258,11 @@ fn position(axis: &Axis, value: &Node, what: &str, filler: &mut Filler<'_>) -> O
             value.span,
             format!("`{what}`: axis `{}` has no value that is {}", axis.name, value.describe()),
         )
-        .hint(suggest::hint(&text, "its values", axis.values().iter().map(|value| &*value.label)))
+        .hint(value_hint(
+            &text,
+            "its values",
+            &axis.values().iter().map(|value| &*value.label).collect::<Vec<_>>(),
+        ))
     });
     None
 }
@@ -368,92 +357,4 @@ fn added(
         return position(axis, value, "include", filler);
     }
     Some(Some(axis.push(AxisValue { label, span: value.span, value: value.clone(), fields: None })))
-}
-
-/// The instances for which one of the maps matches; there may be none.
-fn when(
-    node: &Node,
-    stage: &Stage,
-    grid: Grid,
-    context: &ResolveContext<'_>,
-    filler: &mut Filler<'_>,
-) -> Option<Grid> {
-    let place = format!("stage `{}`", stage.name.text);
-    let maps = maps(node, "when", filler)?;
-    let mut kept = Vec::new();
-    for number in 0..grid.len() {
-        let scope = Scope {
-            globals: context.globals,
-            axes: grid.coordinates(number),
-            all_axes: context.axis_places,
-            place: &place,
-        };
-        let mut holds = false;
-        for entries in &maps {
-            let mut all = true;
-            for (key, expected) in *entries {
-                all &= condition(key, expected, &scope, filler)?;
-            }
-            holds |= all;
-        }
-        if holds {
-            kept.push(number);
-        }
-    }
-    let Cells::Listed { list, .. } = grid.cells else { return Some(grid) };
-    let kept = kept.into_iter().map(|number| list[number].clone()).collect();
-    Some(Grid::listed(grid.axes, kept))
-}
-
-fn condition(key: &Key, expected: &Node, scope: &Scope<'_>, filler: &mut Filler<'_>) -> Option<bool> {
-    let name = key.text.strip_prefix('$').unwrap_or(&key.text);
-    if !template::is_path(name) {
-        filler.problems.add(|| {
-            let shown = crate::spec::node::shorten(&key.text);
-            Problem::new(
-                key.span,
-                format!("`when` asks for `{shown}`, expected the name of an axis or a param"),
-            )
-            .hint("as in `when: { expert: clipped, profile: [desk, thesis] }`")
-        });
-        return None;
-    }
-    let value = filler.value(&Path { text: name, range: 0..key.text.len() }, key.span, scope)?;
-    let Some(seen) = value.scalar_text() else {
-        filler.problems.add(|| {
-            Problem::new(
-                key.span,
-                format!(
-                    "`when`: `{name}` is {}, expected a text, a number, `true` or `false`",
-                    value.describe()
-                ),
-            )
-        });
-        return None;
-    };
-    let expected = filler.fill(expected, scope)?;
-    let (wanted, negated) = match expected.get("not") {
-        Some((_, node)) => (node, true),
-        None => (&expected, false),
-    };
-    if let Value::Map(entries) = &expected.value
-        && let Some((other, _)) = entries.iter().find(|(key, _)| negated && &*key.text != "not")
-    {
-        filler.problems.add(|| {
-            let other_name = crate::spec::node::shorten(&other.text);
-            let message = format!("`when`: found `{other_name}` beside `not`, expected `not` alone");
-            Problem::new(other.span, message)
-                .hint(format!("write `{name}: {{ not: value }}` or `{name}: {{ not: [one, other] }}`"))
-        });
-        return None;
-    }
-    let texts: Option<Vec<_>> = one_or_more(wanted).iter().map(Node::scalar_text).collect();
-    let Some(texts) = texts else {
-        filler.problems.add(|| {
-            Problem::new(expected.span, format!("`when`: `{name}` is compared with {}", expected.describe()))
-                .hint(format!("write `{name}: value`, `{name}: [one, other]` or `{name}: {{ not: value }}`"))
-        });
-        return None;
-    };
-    Some(texts.iter().any(|text| **text == *seen) != negated)
 }

@@ -1,8 +1,9 @@
 //! From a [`Spec`] to a [`Graph`] of stage instances: profile, overrides, matrices, parameters, wiring, type check.
 //! Pure: no I/O. All problems at once.
 //!
-//! `choices` parses profile and `--set`; `globals` and `axes` evaluate params and axes; `matrix` and `grid` expand matrices, and
-//! `expand` checks the parameters of each instance; `items`, `select` and `wiring` connect instances; `build` makes the graph.
+//! `choices` parses profile and `--set`; `globals` and `axes` evaluate params and axes; `matrix` and `grid` expand matrices by
+//! their `rules` (`when` checks its values against those that axes have `elsewhere`), and `expand` checks the parameters of each
+//! instance; `items`, `select` and `wiring` connect instances; `build` makes the graph.
 //! `scope` resolves `$name`; `template` and `reference` parse texts with `$` and input references.
 
 mod axes;
@@ -10,6 +11,7 @@ mod build;
 mod choices;
 mod context;
 mod cycles;
+mod elsewhere;
 mod expand;
 mod globals;
 mod graph;
@@ -20,12 +22,15 @@ mod merge;
 mod params;
 mod pattern;
 mod reference;
+mod rules;
 mod scope;
 mod select;
 mod target;
 mod template;
+mod when;
 mod wiring;
 
+use std::cell::OnceCell;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 
@@ -105,6 +110,7 @@ fn resolve_layers(
         axis_places: &axis_places,
         seed,
         choices,
+        elsewhere: OnceCell::new(),
     };
     let stages = expand::expand(&context, filler);
     build::graph(&context, stages, filler)

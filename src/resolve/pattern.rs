@@ -85,6 +85,19 @@ impl<'t> Pattern<'t> {
         let distinct = |names: &mut dyn Iterator<Item = String>| names.collect::<BTreeSet<_>>();
         let shown = crate::spec::node::shorten(self.text);
         let named: Vec<&StageInstance> = stages().filter(|stage| glob(self.name, &stage.name)).collect();
+        let left_out: Vec<&str> =
+            graph.left_out.iter().map(|name| &**name).filter(|name| glob(self.name, name)).collect();
+        if named.is_empty() && !left_out.is_empty() {
+            let names = suggest::list(&left_out);
+            let what = match left_out.len() {
+                1 => format!("stage {names} is left out by its `when`"),
+                _ => format!("the stages {names} are left out by their `when`"),
+            };
+            return NoStage {
+                message: format!("{what} in profile `{}`", graph.profile),
+                hint: "choose another profile, or change its `when`".to_owned(),
+            };
+        }
         if named.is_empty() {
             let known = distinct(&mut stages().map(|stage| stage.name.to_string()));
             let hint = suggest::hint(self.name, "the stages", known.iter().map(String::as_str));

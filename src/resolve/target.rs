@@ -155,5 +155,12 @@ fn restrict(graph: &Graph, kept: &[bool]) -> (Graph, Vec<Option<StageIndex>>) {
             stages.add_edge(from, to, ());
         }
     }
-    (Graph { pipeline: graph.pipeline.clone(), profile: graph.profile.clone(), stages }, places)
+    let part = Graph {
+        pipeline: graph.pipeline.clone(),
+        profile: graph.profile.clone(),
+        left_out: graph.left_out.clone(),
+        sweeps: graph.sweeps.clone(),
+        stages,
+    };
+    (part, places)
 }

@@ -56,6 +56,49 @@ fn when_lets_through_by_axis_field_and_profile() {
 }
 
 #[test]
+fn when_takes_a_value_that_its_axis_has_without_a_profile_or_in_any() {
+    let file = "name: p\nparams: { many: [1, 2] }\naxes: { a: [1, 2], e: { f: { n: 1 } }, p: $many }\n\
+         stages:\n  s: { kind: emit, matrix: [a], when: { a: [2, 5, 7] }, with: { text: t } }\n  \
+         u: { kind: emit, matrix: [e], when: { e: [f, g], e.n: { not: 9 } }, with: { text: t } }\n  \
+         v: { kind: emit, matrix: [p, { exclude: { p: 2 }, include: { p: 4 } }], when: { p: { not: [3, 4] } }, with: { text: t } }\n  \
+         w: { kind: emit, matrix: { k: [1, 2] }, when: { k: 2 }, with: { text: t } }\n\
+         profiles:\n  full: {}\n  small: { axes: { a: [1] } }\n  wide: { axes: { a: [1, 5], e: { g: { n: 9 } } }, params: { many: [2, 3] } }\n";
+    let sealed = Sealed::with(&file.replace(", 7]", "]"));
+    assert_eq!(instances(&sealed, ""), ["s[a=2]", "u[e=f]", "v[p=1]", "w[k=2]"]);
+    assert_eq!(instances(&sealed, " --profile small"), ["u[e=f]", "v[p=1]", "w[k=2]"]);
+    assert_eq!(instances(&sealed, " --profile wide"), ["s[a=5]", "u[e=f]", "w[k=2]"]);
+    // Set values count, too, and so do those that they replace.
+    assert_eq!(instances(&sealed, " --set axes.a=8"), ["u[e=f]", "v[p=1]", "w[k=2]"]);
+    let sealed = Sealed::with(file);
+    assert_eq!(instances(&sealed, " --set axes.a=1,7"), ["s[a=7]", "u[e=f]", "v[p=1]", "w[k=2]"]);
+    let ended = sealed.run("plan p.yaml");
+    assert!(
+        ended.code == 3 && ended.stderr.contains("axis `a` has no value that is the number 7"),
+        "{ended:?}"
+    );
+    assert!(ended.stderr.contains("its values are `1`, `2`, `5`"), "{}", ended.stderr);
+}
+
+#[test]
+fn a_target_that_its_when_leaves_out_is_distinguished_from_one_that_does_not_exist() {
+    let sealed = Sealed::with(
+        "name: p\nstages:\n  full-a: { kind: emit, when: { profile: full }, with: { text: a } }\n  \
+         full-b: { kind: emit, when: { profile: full }, with: { text: a } }\n  \
+         c: { kind: emit, with: { text: a } }\nprofiles: { full: {}, small: {} }\n",
+    );
+    let said = |args: &str| {
+        let ended = sealed.run(&format!("plan p.yaml --profile small {args}"));
+        assert_eq!(ended.code, 2, "{ended:?}");
+        ended.stderr
+    };
+    assert!(said("full-a").contains("stage `full-a` is left out by its `when` in profile `small`"));
+    assert!(said("--from full-b").contains("stage `full-b` is left out by its `when` in profile `small`"));
+    let both = "the stages `full-a`, `full-b` are left out by their `when` in profile `small`";
+    assert!(said("full-*").contains(both));
+    assert!(said("ful-a").contains("there is no stage `ful-a`"));
+}
+
+#[test]
 fn a_stage_that_is_switched_off_takes_its_optional_readers_inputs_with_it() {
     let sealed = Sealed::with(
         "name: p\nstages:\n  a: { kind: emit, when: { profile: full }, with: { text: a } }\n  \

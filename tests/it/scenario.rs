@@ -106,7 +106,13 @@ pub fn graph(stages: &[StageLine]) -> Graph {
         }
         graph[node].inputs = wires;
     }
-    Graph { pipeline: "scenario".into(), profile: "default".into(), stages: graph }
+    Graph {
+        pipeline: "scenario".into(),
+        profile: "default".into(),
+        left_out: Vec::new(),
+        sweeps: Vec::new(),
+        stages: graph,
+    }
 }
 
 fn wires(

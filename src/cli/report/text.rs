@@ -275,7 +275,13 @@ mod tests {
     use std::time::Duration;
 
     fn verdict(outcome: RunOutcome) -> String {
-        let graph = Graph { pipeline: "p".into(), profile: "q".into(), stages: DiGraph::default() };
+        let graph = Graph {
+            pipeline: "p".into(),
+            profile: "q".into(),
+            left_out: Vec::new(),
+            sweeps: Vec::new(),
+            stages: DiGraph::default(),
+        };
         EventText::new(&graph, Terminal::PLAIN).verdict(&outcome)
     }
 
