@@ -7,7 +7,7 @@ use petgraph::graph::DiGraph;
 use super::context::ResolveContext;
 use super::cycles;
 use super::expand::{ENOUGH, Expanded, Instance};
-use super::graph::{Graph, Origin, StageIndex, StageInstance};
+use super::graph::{self, Graph, Origin, StageIndex, StageInstance};
 use super::scope::Filler;
 use super::wiring::{Wirer, Wires};
 use crate::spec::problem::Problem;
@@ -165,30 +165,30 @@ fn wire_place(from: usize, to: usize, wires: &[Wires], stage: &Expanded<'_>) -> 
     wire.map_or(stage.stage.name.span, |(_, at)| *at)
 }
 
-/// Results are copied to one folder, so two instances must not have the same file name.
+/// Results are copied to one folder, so no two may have the same file name.
 fn report_shared_files(stages: &[Expanded<'_>], filler: &mut Filler<'_>) {
     let mut taken: HashMap<String, (usize, usize)> = HashMap::new();
     for (at, stage) in stages.iter().enumerate() {
         for (number, instance) in stage.instances.iter().enumerate() {
-            let results = instance
-                .iter()
-                .any(|instance| instance.ports.outputs.iter().any(|output| output.artifact.is_result()));
-            if !results {
-                continue;
-            }
+            let Some(instance) = instance else { continue };
             let labels = stage.coordinates(number);
-            let stem = super::graph::file_stem(stage.name(), labels.iter().map(|(_, value)| &*value.label));
-            let Some((other, earlier)) = taken.insert(stem.clone(), (at, number)) else { continue };
+            let stem = graph::file_stem(stage.name(), labels.iter().map(|(_, value)| &*value.label));
+            let mut shared = None;
+            for (_, name) in graph::result_files(&stem, &instance.ports.outputs) {
+                let earlier = taken.insert(name.clone(), (at, number));
+                shared = shared.or(earlier.map(|earlier| (earlier, name)));
+            }
+            let Some(((other, earlier), name)) = shared else { continue };
             let other = &stages[other];
             filler.problems.add(|| {
                 let message = format!(
-                    "the results of `{}` and `{}` would have the same file name `{stem}`",
+                    "the results of `{}` and `{}` would have the same file name `{name}`",
                     other.id(earlier),
                     stage.id(number)
                 );
                 Problem::new(stage.stage.name.span, message)
                     .maybe_related(Some(other.stage.name.span), "the other")
-                    .hint("rename the stage or the value of the axis")
+                    .hint("rename the stage, the output or the value of the axis")
             });
         }
     }

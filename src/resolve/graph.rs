@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use dril_stage_api::{Kind, Labels, Needs, Ports, Seed};
+use dril_stage_api::{Kind, Labels, Needs, Output, Ports, Seed};
 use petgraph::graph::{DiGraph, NodeIndex};
 use serde_json::Value;
 
@@ -120,6 +120,11 @@ impl StageInstance {
     pub fn file_stem(&self) -> String {
         file_stem(&self.name, self.coordinates.iter().map(|(_, value)| value.as_str()))
     }
+
+    /// The outputs that go to the results folder, and their file names there.
+    pub fn result_files(&self) -> Vec<(&Output, String)> {
+        result_files(&self.file_stem(), &self.ports.outputs).collect()
+    }
 }
 
 /// The file name of an instance of stage `name` with these values; characters that file names cannot have become `_`.
@@ -130,6 +135,24 @@ pub(super) fn file_stem<'v>(name: &str, values: impl Iterator<Item = &'v str>) -
         stem.extend(value.chars().map(|c| if c.is_alphanumeric() || "._-".contains(c) { c } else { '_' }));
     }
     stem
+}
+
+/// The file names of the results among `outputs`, for an instance with this stem. Where several have one extension, each has its
+/// own name in it, so that another output renames none of them. One that is named like its extension (`csv`) is the main one.
+pub(super) fn result_files<'o>(
+    stem: &str,
+    outputs: &'o [Output],
+) -> impl Iterator<Item = (&'o Output, String)> {
+    let results = || outputs.iter().filter(|output| output.artifact.is_result());
+    results().map(move |output| {
+        let alike = results().filter(|other| other.extension == output.extension).count();
+        let name = if alike == 1 || output.name == output.extension {
+            String::new()
+        } else {
+            format!("-{}", output.name)
+        };
+        (output, file_name(stem, &format!("{name}.{}", output.extension)))
+    })
 }
 
 /// The maximum length of a file name in bytes on nearly every file system.

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, ErrorKind};
 use crate::fsx;
-use crate::resolve::{Graph, file_name};
+use crate::resolve::Graph;
 use crate::store::{Digest, Outputs, Store, Stored};
 
 /// The file name of the manifest.
@@ -180,17 +180,7 @@ fn wanted<'a>(
     let mut wanted = BTreeMap::new();
     for index in graph.stages.node_indices() {
         let stage = &graph.stages[index];
-        for output in stage.ports.outputs.iter().filter(|output| output.artifact.is_result()) {
-            let stem = stage.file_stem();
-            let mut name = file_name(&stem, &format!(".{}", output.extension));
-            for number in 1.. {
-                // Two outputs with the same extension, or names that differ only in characters that file names cannot have.
-                if !wanted.contains_key(&name) {
-                    break;
-                }
-                let more = if number == 1 { String::new() } else { format!("-{number}") };
-                name = file_name(&stem, &format!("-{}{more}.{}", output.name, output.extension));
-            }
+        for (output, name) in stage.result_files() {
             let stored = outputs(index).and_then(|outputs| outputs.get(output.name));
             // For an unfinished stage the digest is a placeholder and never used.
             let digest = stored.map_or_else(|| Digest::of(&[]), |stored| stored.digest);

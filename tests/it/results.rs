@@ -126,3 +126,49 @@ fn if_results_cannot_be_copied_the_run_still_reports_what_it_did() {
     assert!(last["error"].as_str().unwrap().contains("taken"), "{last}");
     assert!(sealed.run_ok("run p.yaml").contains("0 stages executed"), "the work is in the store");
 }
+
+/// A command `t` with these outputs, each a table that contains its own name.
+fn tables(names: &[&str]) -> String {
+    let outputs: Vec<String> =
+        names.iter().map(|name| format!("{name}: {{ type: table, path: {name}.csv }}")).collect();
+    let shell = format!("for t in {}; do echo $$t > $$t.csv; done", names.join(" "));
+    format!(
+        "name: two\nstages:\n  t: {{ kind: command, with: {{ shell: \"{shell}\", outputs: {{ {} }} }} }}\n",
+        outputs.join(", ")
+    )
+}
+
+#[test]
+fn another_output_leaves_every_result_under_its_name() {
+    let sealed = Sealed::new();
+    let files = |names: &[&str]| {
+        sealed.write("p.yaml", &tables(names));
+        let mut command = sealed.command("run p.yaml");
+        let ended = crate::sealed::ended({
+            command.env("PATH", "/usr/bin:/bin");
+            command
+        });
+        assert_eq!(ended.code, 0, "{ended:?}");
+        let found = sealed.list(FOLDER).into_iter().filter(|name| name.ends_with(".csv"));
+        found.map(|name| format!("{name}: {}", sealed.read(&format!("{FOLDER}/{name}")))).collect::<String>()
+    };
+    assert_eq!(files(&["main"]), "t.csv: main\n");
+    let two = "t-main.csv: main\nt-zloss.csv: zloss\n";
+    assert_eq!(files(&["main", "zloss"]), two);
+    assert_eq!(files(&["main", "zloss", "confusion"]), format!("t-confusion.csv: confusion\n{two}"));
+    // The one that is named like its extension is the stage's main one.
+    assert_eq!(files(&["csv", "main"]), "t-main.csv: main\nt.csv: csv\n");
+}
+
+#[test]
+fn files_of_two_stages_that_would_have_one_name_are_reported_before_anything_runs() {
+    let other = "  t-zloss: { kind: command, with: { shell: \": > u.csv\", outputs: { u: { type: table, path: u.csv } } } }\n";
+    let sealed = Sealed::with(&(tables(&["main", "zloss"]) + other));
+    let planned = sealed.run("plan p.yaml");
+    assert_eq!(planned.code, 3, "{planned:?}");
+    let expected = "the results of `t` and `t-zloss` would have the same file name `t-zloss.csv`";
+    assert!(planned.stderr.contains(expected), "{}", planned.stderr);
+    // One table is `t.csv`, which is in nobody's way.
+    sealed.write("p.yaml", &(tables(&["zloss"]) + other));
+    sealed.run_ok("plan p.yaml");
+}
