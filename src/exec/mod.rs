@@ -18,6 +18,7 @@ mod journal;
 mod listen;
 mod memory;
 mod options;
+mod origins;
 mod processes;
 mod publish;
 mod ready;

@@ -13,6 +13,7 @@ use super::context::RunContext;
 use super::failure::{Failure, FailureKind};
 use super::inputs::{self, Placed};
 use super::job::{job, outside, record};
+use super::origins::name_inputs;
 use super::publish;
 use super::resources::Units;
 use super::runner::{Exit, Launch};
@@ -210,7 +211,7 @@ impl<'a> Task<'a> {
             other => send(WorkerEvent::Message(stage, other)),
         };
         let exit = context.runner.run(&launch, &mut on_message);
-        if exit.map_err(|failure| self.name_inputs(failure))? == Exit::Stopped {
+        if exit.map_err(|failure| name_inputs(failure, &self.job, &self.record))? == Exit::Stopped {
             return Ok(Attempt::Stopped);
         }
         let took = began.elapsed();
@@ -230,19 +231,5 @@ impl<'a> Task<'a> {
             return Err(StoreError::Differs(output.to_owned()));
         }
         publish::commit(context.store, &self.key, &self.record, blobs, &self.folder)
-    }
-
-    /// Names inputs in a stage's error as the pipeline file does: the stage itself knows only the paths of blobs.
-    fn name_inputs(&self, failure: Failure) -> Failure {
-        let Failure::Stage(mut error) = failure else { return failure };
-        for (port, items) in &self.job.inputs {
-            let origins = self.record.inputs.iter().find(|input| input.port == *port);
-            for (item, origin) in items.iter().zip(origins.iter().flat_map(|input| &input.items)) {
-                if let Some(path) = item.path.to_str().filter(|path| error.contains(*path)) {
-                    error = error.replace(path, &format!("{} (input `{port}`, {path})", origin.from));
-                }
-            }
-        }
-        Failure::Stage(error)
     }
 }
