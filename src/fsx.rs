@@ -30,7 +30,9 @@ pub use folder::{
     put, relative, settle_links, walk,
 };
 pub use lease_file::RUN as RUN_PATIENCE;
-pub use links::{TemporaryLink, be_a_file, link_target, real, symlink, symlink_into, temporary_link};
+pub use links::{
+    TemporaryLink, be_a_file, link_target, link_tree, real, symlink, symlink_into, temporary_link,
+};
 pub use lock::{Lock, announced};
 pub use remove::remove_dir_all;
 pub use tail::{each_line, tail};

@@ -229,6 +229,7 @@ impl<'a> Node<'a> {
             stop: &self.stop,
             grace: handoff.grace(),
             limits: handoff.limits(),
+            inputs: None,
         };
         let mut next: Option<Instant> = None;
         let result = runner.passing(passed).run(&launch, &mut |message| match message {

@@ -22,6 +22,7 @@ use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, wa
 use super::apart;
 use super::ending::exit;
 use super::failure::Failure;
+use super::inputs::LaidOut;
 use super::listen::Listener;
 use super::memory;
 use super::options::POLL_INTERVAL;
@@ -131,6 +132,8 @@ impl ChildRunner {
         on_message: &mut dyn FnMut(Message),
     ) -> Result<Exit, Failure> {
         let mut prepared = prepared.map_err(|error| Failure::Stage(error.to_string()))?;
+        // Their names in the working folder are new.
+        launch.inputs.map_or(Ok(()), LaidOut::were_linked)?;
         let log = fsx::open_append(launch.log).map_err(io::Error::other)?;
         let process = &mut prepared.process;
         process.envs(&*self.passed);

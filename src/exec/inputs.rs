@@ -6,6 +6,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use super::apart;
 use super::failure::Failure;
@@ -36,10 +37,13 @@ pub(super) struct Placed {
     pub private: bool,
 }
 
+/// The private copies of an input: its name, where it is, and its files.
+type Copies = (&'static str, PathBuf, Vec<PrivateCopy>);
+
 /// The inputs that were laid out.
 #[derive(Debug, Default)]
-pub(super) struct LaidOut {
-    copies: Vec<(&'static str, PathBuf, Vec<PrivateCopy>)>,
+pub struct LaidOut {
+    copies: Mutex<Vec<Copies>>,
     /// How many of them are held open.
     held: usize,
 }
@@ -59,7 +63,7 @@ impl LaidOut {
 impl Drop for LaidOut {
     fn drop(&mut self) {
         // The files first: others may be opened in their place as soon as they are not counted.
-        self.copies.clear();
+        self.copies().clear();
         HELD.fetch_sub(self.held, Ordering::AcqRel);
     }
 }
@@ -84,7 +88,7 @@ pub(super) fn lay_out(placed: &[Placed], store: &Store) -> Result<LaidOut, Failu
             laid.hold(copy, most)?;
         }
         if !copies.is_empty() {
-            laid.copies.push((input.port, input.to.clone(), copies));
+            laid.copies().push((input.port, input.to.clone(), copies));
         }
     }
     Ok(laid)
@@ -100,10 +104,20 @@ fn place(input: &Placed, store: &Store) -> Result<Vec<PrivateCopy>, StoreError> 
 }
 
 impl LaidOut {
+    fn copies(&self) -> MutexGuard<'_, Vec<Copies>> {
+        self.copies.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Accepts that the copies have got further names, as [`PrivateCopy::was_linked`].
+    pub(super) fn were_linked(&self) -> Result<(), Failure> {
+        let mut all = self.copies();
+        Ok(all.iter_mut().flat_map(|(_, _, copies)| copies).try_for_each(PrivateCopy::was_linked)?)
+    }
+
     /// Fails if the program changed an input: its outputs would then not follow from the pipeline file.
-    pub fn check(&self) -> Result<(), Failure> {
+    pub(super) fn check(&self) -> Result<(), Failure> {
         let mut changed = Vec::new();
-        for (port, root, copies) in &self.copies {
+        for (port, root, copies) in self.copies().iter() {
             for copy in copies {
                 if copy.was_changed()? {
                     changed.push(name(port, root, copy.path()));

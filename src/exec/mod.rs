@@ -39,6 +39,7 @@ pub use execute::execute;
 pub use executed::{ExecError, Executed};
 pub use failure::{Failure, FailureKind};
 pub use inline::InlineRunner;
+pub use inputs::LaidOut;
 pub use options::{Options, POLL_INTERVAL};
 pub use recheck::{RecheckOutcome, recheck};
 pub use resources::{InsufficientResource, Units};

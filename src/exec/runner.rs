@@ -11,6 +11,7 @@ use std::time::Duration;
 use dril_stage_api::{Job, Kind, Message};
 
 use super::failure::Failure;
+use super::inputs::LaidOut;
 use super::resources::Units;
 use crate::fsx::Lock;
 use crate::spec::Limits;
@@ -39,6 +40,8 @@ pub struct Launch<'a> {
     pub grace: Duration,
     /// How long it may run, and how much memory it may use with all processes that it starts.
     pub limits: Limits,
+    /// The private copies of the inputs of an external program. `None` where nobody checks whether they were changed.
+    pub inputs: Option<&'a LaidOut>,
 }
 
 /// How a job ended, where it did not fail.

@@ -203,6 +203,7 @@ impl<'a> Task<'a> {
             stop: context.halt,
             grace: context.options.grace,
             limits: self.limits,
+            inputs: Some(&laid_out),
         };
         let began = Instant::now();
         let (stage, made_with) = (self.stage, &mut self.record.fingerprint.with);

@@ -1,4 +1,4 @@
-//! Symbolic links: made, read, and put out of the way.
+//! Links: made, read, and put out of the way.
 
 use std::io::ErrorKind;
 use std::os::unix::fs::MetadataExt;
@@ -7,7 +7,7 @@ use std::sync::Once;
 
 use rustix::process::{Pid, geteuid, test_kill_process};
 
-use super::{FsError, Result, copy_atomic, create_dir_all};
+use super::{FsError, Result, copy_atomic, create_dir, create_dir_all};
 
 /// Makes a symbolic link at `at` that leads to `to`.
 pub fn symlink(to: &Path, at: &Path) -> Result<()> {
@@ -20,6 +20,30 @@ pub fn symlink_into(to: &Path, at: &Path) -> Result<()> {
         create_dir_all(folder)?;
     }
     symlink(to, at)
+}
+
+/// Gives the private file or folder `from` a second name, `to`: a file gets a hard link, a folder is made again from its folders,
+/// symbolic links and hard links to its files. Where the file system has no hard links, files become symbolic links.
+///
+/// # Errors
+/// `from` cannot be read, or `to` not be made.
+pub fn link_tree(from: &Path, to: &Path) -> Result<()> {
+    let mut open = vec![(from.to_owned(), to.to_owned())];
+    while let Some((from, to)) = open.pop() {
+        let meta = std::fs::symlink_metadata(&from).map_err(FsError::at("access", &from))?;
+        if meta.is_dir() {
+            create_dir(&to)?;
+            for path in super::list(&from)? {
+                let at = to.join(path.file_name().unwrap_or_default());
+                open.push((path, at));
+            }
+        } else if let Some(target) = link_target(&from).filter(|_| meta.is_symlink()) {
+            symlink(&target, &to)?;
+        } else if std::fs::hard_link(&from, &to).is_err() {
+            symlink(&from, &to)?;
+        }
+    }
+    Ok(())
 }
 
 /// Puts a copy of the file that a symbolic link leads to in the link's place; a file stays as it is.

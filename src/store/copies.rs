@@ -37,6 +37,20 @@ impl PrivateCopy {
         &self.path
     }
 
+    /// Accepts that it has got another name (a hard link), which changes its change time. Without this, its content would be read
+    /// again to see whether it has changed. No program may have been able to write to it yet.
+    ///
+    /// # Errors
+    /// It cannot be accessed.
+    pub fn was_linked(&mut self) -> fsx::Result<()> {
+        let known = self.made.stat;
+        let now = self.made.now(&self.path)?;
+        if let Some(now) = now.filter(|now| (now.bytes, now.modified) == (known.bytes, known.modified)) {
+            self.made.stat = now;
+        }
+        Ok(())
+    }
+
     /// True where the content of the copy has changed. A copy that was removed or replaced by another file was not changed.
     ///
     /// # Errors
@@ -148,6 +162,25 @@ mod tests {
         std::fs::File::options().write(true).open(copy.path()).unwrap().set_modified(modified).unwrap();
         assert!(copy.was_changed().unwrap());
         assert_eq!(fsx::read(&store.blob_path(&digest)).unwrap(), b"content");
+    }
+
+    #[test]
+    fn a_copy_with_another_name_counts_as_unchanged_without_being_read() {
+        let (place, store, digest) = store_with(b"content");
+        let mut copy = store.copy_out(&digest, &place.path().join("copy"), false).unwrap();
+        let before = copy.made.stat;
+        std::thread::sleep(std::time::Duration::from_millis(15));
+        fsx::link_tree(copy.path(), &place.path().join("name")).unwrap();
+        copy.was_linked().unwrap();
+        assert_ne!(copy.made.stat, before);
+        assert_eq!(copy.made.now(copy.path()).unwrap(), Some(copy.made.stat));
+        overwrite(&place.path().join("name"), b"another");
+        assert!(copy.was_changed().unwrap());
+        // What was written before the names were accepted is no name.
+        let mut copy = store.copy_out(&digest, &place.path().join("other"), false).unwrap();
+        overwrite(copy.path(), b"CONTENT and more");
+        copy.was_linked().unwrap();
+        assert!(copy.was_changed().unwrap());
     }
 
     #[test]

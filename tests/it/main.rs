@@ -35,6 +35,7 @@ mod machines;
 mod nodes;
 mod page;
 mod parse;
+mod places;
 mod plan;
 mod programs;
 mod prop;

@@ -60,7 +60,8 @@ pub(super) fn prepare(params: &CommandParams, job: &Job) -> Result<Prepared, Sta
 /// The paths of each input, by name, relative to the working folder.
 type Paths = BTreeMap<&'static str, Vec<String>>;
 
-/// Creates the working folder, with a link for each artifact.
+/// Creates the working folder, with each artifact at its path. It is no symbolic link: an interpreter that finds its modules
+/// beside a script would look beside the file that the link leads to.
 fn lay_out(params: &CommandParams, job: &Job, work: &Path) -> Result<Paths, StageError> {
     let mut folders = Folders { work, made: BTreeSet::new() };
     folders.make(Path::new("outputs"))?;
@@ -73,7 +74,7 @@ fn lay_out(params: &CommandParams, job: &Job, work: &Path) -> Result<Paths, Stag
         let mut entries = Vec::new();
         for (number, item) in job.inputs.get(input.name).into_iter().flatten().enumerate() {
             let path = if input.arity == Arity::Many { format!("{path}/{number}") } else { path.clone() };
-            folders.link(&item.path, &path)?;
+            folders.place(&item.path, &path)?;
             entries.push(json!({ "path": path, "labels": item.labels }));
             paths.push(path);
         }
@@ -110,6 +111,12 @@ impl Folders<'_> {
     /// What the file at `path` lies in.
     fn above(&mut self, path: &str) -> Result<(), StageError> {
         Path::new(path).parent().map_or(Ok(()), |folder| self.make(folder))
+    }
+
+    /// Puts the private copy `from` at a path. It keeps its own name, by which the engine sees whether it was changed.
+    fn place(&mut self, from: &Path, at: &str) -> Result<(), StageError> {
+        self.above(at)?;
+        fsx::link_tree(from, &self.work.join(at)).map_err(StageError::failed)
     }
 
     fn link(&mut self, to: &Path, at: &str) -> Result<(), StageError> {
