@@ -125,7 +125,7 @@ pub(super) struct SelectArgs {
     /// Run only the targets; fail if something that they need is not cached
     #[arg(long)]
     only: bool,
-    /// Run this stage even if it is cached; can be repeated
+    /// Run this stage even if it is cached, and start it without its checkpoint; can be repeated
     #[arg(long, value_name = "STAGE")]
     force: Vec<String>,
 }

@@ -229,6 +229,8 @@ impl<'a> Node<'a> {
             stop: &self.stop,
             grace: handoff.grace(),
             limits: handoff.limits(),
+            // The engine has removed the checkpoint where the stage must start without it.
+            fresh: false,
             inputs: None,
         };
         let mut next: Option<Instant> = None;

@@ -20,7 +20,7 @@ use super::site::Site;
 use super::submit::{Submitter, WAIT};
 use super::threads::Threads;
 use super::watch::{News, Place, Watch};
-use crate::exec::{ChildRunner, Exit, Failure, Launch, Runner};
+use crate::exec::{self, ChildRunner, Exit, Failure, Launch, Runner};
 use crate::fsx;
 use crate::settings::{ClusterSettings, JobSettings};
 use crate::store::StoreError;
@@ -65,6 +65,16 @@ enum Waited {
 enum Running {
     Job(JobId),
     Pilots(Offer),
+}
+
+impl Running {
+    /// The job of its own.
+    fn job(&self) -> Option<JobId> {
+        match self {
+            Self::Job(job) => Some(job.clone()),
+            Self::Pilots(_) => None,
+        }
+    }
 }
 
 /// What is known of a stage while jobs come and go.
@@ -117,14 +127,12 @@ impl ClusterRunner {
         let home = self.home(launch);
         let settings = self.settings.of(name_of(&launch.job.stage), launch.kind.name());
         let mut running = self.adopt(&home)?;
-        if running.is_none() && !matches!(home.ended()?, Some(Ended { how: How::Done, .. })) {
-            self.prepare(&home, launch, &settings)?;
+        let is_new = running.is_none() && !matches!(home.ended()?, Some(Ended { how: How::Done, .. }));
+        if is_new && !self.prepare(&home, launch, &settings)? {
+            return self.stopped(&home);
         }
         // What happened to a job of an earlier engine is not counted.
-        let mut of_another = match &running {
-            Some(Running::Job(job)) => Some(job.clone()),
-            _ => None,
-        };
+        let mut of_another = running.as_ref().and_then(Running::job);
         let mut history = History::default();
         loop {
             let ended = match home.ended()? {
@@ -224,8 +232,11 @@ impl ClusterRunner {
         }
     }
 
-    /// Makes the job's folder from the stage's: the inputs there move, and paths with them.
-    fn prepare(&self, home: &Home, launch: &Launch<'_>, settings: &JobSettings) -> Result<(), Failure> {
+    /// Makes the job's folder from the stage's: the inputs there move, and paths with them. False where the run was stopped meanwhile.
+    fn prepare(&self, home: &Home, launch: &Launch<'_>, settings: &JobSettings) -> Result<bool, Failure> {
+        if !exec::discard(launch)? {
+            return Ok(false);
+        }
         if home.folder != launch.folder {
             fsx::remove_dir_all(&home.folder)?;
             fsx::create_dir_all(&home.folder)?;
@@ -245,7 +256,8 @@ impl ClusterRunner {
         if !variables.is_empty() {
             home.keep_environment(&variables)?;
         }
-        Ok(home.write("handoff.json", &handoff)?)
+        home.write("handoff.json", &handoff)?;
+        Ok(true)
     }
 
     /// Offers the stage to the pilots or submits a job; `None` where the run was stopped meanwhile.

@@ -20,6 +20,7 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
 
 use super::apart;
+use super::checkpoints;
 use super::ending::exit;
 use super::failure::Failure;
 use super::inputs::LaidOut;
@@ -204,6 +205,9 @@ impl Runner for ChildRunner {
     }
 
     fn run(&self, launch: &Launch<'_>, on_message: &mut dyn FnMut(Message)) -> Result<Exit, Failure> {
+        if !checkpoints::discard(launch)? {
+            return Ok(Exit::Stopped);
+        }
         if let Some(prepared) = launch.kind.prepare(launch.job) {
             return self.run_program(prepared, launch, on_message);
         }

@@ -6,6 +6,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use dril_stage_api::{Message, Registry, StageError};
 
+use super::checkpoints;
 use super::failure::Failure;
 use super::runner::{Exit, Launch, Runner};
 use super::stage::perform;
@@ -19,6 +20,9 @@ pub struct InlineRunner {
 
 impl Runner for InlineRunner {
     fn run(&self, launch: &Launch<'_>, on_message: &mut dyn FnMut(Message)) -> Result<Exit, Failure> {
+        if !checkpoints::discard(launch)? {
+            return Ok(Exit::Stopped);
+        }
         let mut messages = Lines { part: Vec::new(), on_message };
         let performed = catch_unwind(AssertUnwindSafe(|| {
             perform(launch.job, &self.registry, launch.stop, &mut messages, None)

@@ -2,6 +2,7 @@
 //! to the store. Another executor implements [`Runner`].
 
 mod apart;
+mod checkpoints;
 mod child;
 mod context;
 mod dispatch;
@@ -33,6 +34,7 @@ mod warden;
 mod workers;
 
 pub use apart::raise_open_files;
+pub(crate) use checkpoints::discard;
 pub use child::ChildRunner;
 pub use event::{Event, RunOutcome};
 pub use execute::execute;

@@ -178,6 +178,7 @@ fn run_and_compare(
         stop: context.halt,
         grace: context.options.grace,
         limits: node.limits,
+        fresh: false,
         inputs: None,
     };
     if context.runner.run(&launch, &mut |_| {})? == Exit::Stopped {

@@ -40,6 +40,8 @@ pub struct Launch<'a> {
     pub grace: Duration,
     /// How long it may run, and how much memory it may use with all processes that it starts.
     pub limits: Limits,
+    /// True for a stage that must start without its checkpoint: the runner removes it, unless the job runs already.
+    pub fresh: bool,
     /// The private copies of the inputs of an external program. `None` where nobody checks whether they were changed.
     pub inputs: Option<&'a LaidOut>,
 }

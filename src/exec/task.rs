@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 
 use dril_stage_api::{Job, Kind, Message, Ports};
 
+use super::checkpoints;
 use super::context::RunContext;
 use super::failure::{Failure, FailureKind};
 use super::inputs::{self, Placed};
@@ -192,6 +193,9 @@ impl<'a> Task<'a> {
             return Ok(Attempt::Built { blobs: Vec::new(), took: Duration::ZERO });
         }
         let laid_out = inputs::lay_out(&self.placed, context.store)?;
+        // What a forced stage saves before it is tried again is its own.
+        let fresh = context.forced.contains(&self.stage) && self.retries == 0;
+        let saved = if fresh { None } else { checkpoints::saved(&self.job)? };
         let launch = Launch {
             job: &self.job,
             kind: self.kind,
@@ -203,6 +207,7 @@ impl<'a> Task<'a> {
             stop: context.halt,
             grace: context.options.grace,
             limits: self.limits,
+            fresh,
             inputs: Some(&laid_out),
         };
         let began = Instant::now();
@@ -212,13 +217,16 @@ impl<'a> Task<'a> {
             other => send(WorkerEvent::Message(stage, other)),
         };
         let exit = context.runner.run(&launch, &mut on_message);
-        if exit.map_err(|failure| name_inputs(failure, &self.job, &self.record))? == Exit::Stopped {
+        let mention = |failure| checkpoints::mention(failure, &self.job.stage, saved);
+        let name = |failure| mention(name_inputs(failure, &self.job, &self.record));
+        if exit.map_err(name)? == Exit::Stopped {
             return Ok(Attempt::Stopped);
         }
         let took = began.elapsed();
         laid_out.check()?;
         self.record.seconds = took.as_secs_f64();
-        let (outputs, blobs) = publish::take_outputs(self.ports, &self.folder, context.store, &self.run)?;
+        let taken = publish::take_outputs(self.ports, &self.folder, context.store, &self.run);
+        let (outputs, blobs) = taken.map_err(mention)?;
         self.record.outputs = outputs;
         Ok(Attempt::Built { blobs, took })
     }

@@ -16,7 +16,7 @@ use crate::scenario::StageLine;
 use crate::sealed::{self, Sealed};
 
 /// The commands, with their queue in a folder.
-fn pbs(queue: &Path, jobs: &str) -> String {
+pub fn pbs(queue: &Path, jobs: &str) -> String {
     std::fs::create_dir_all(queue).unwrap();
     let commands = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/executor");
     let (commands, queue) = (commands.display(), queue.display());
@@ -69,7 +69,7 @@ fn words(count: usize) -> Vec<StageLine> {
 }
 
 /// Jobs that were submitted.
-fn submitted(queue: &Path) -> usize {
+pub fn submitted(queue: &Path) -> usize {
     std::fs::read_dir(queue).unwrap().filter(|entry| entry.as_ref().unwrap().path().is_dir()).count()
 }
 

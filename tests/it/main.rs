@@ -24,6 +24,7 @@ mod examples;
 mod exec_order;
 mod executors;
 mod fakes;
+mod fresh;
 mod group;
 mod hostile;
 mod import;
