@@ -49,7 +49,7 @@ fn thesis(profile: &str, episodes: usize) -> Lab {
     let claims = json!([
         { "claim": "DRIL drives better at its peak than after its last step", "is": "greater", "left": { "method": "dril-peak" }, "right": { "method": "dril-final" } },
         { "claim": "Twenty laps teach more than one", "is": "greater", "left": { "demonstrations": 20 }, "right": { "demonstrations": 1 } },
-        { "claim": "Gaussian clones drive worse with drawn actions", "is": "greater", "where": { "method": "bc", "policy": "gaussian" }, "left": { "mode": "deterministic" }, "right": { "mode": "stochastic" } },
+        { "claim": "Gaussian clones drive worse with sampled actions", "is": "greater", "where": { "method": "bc", "policy": "gaussian" }, "left": { "mode": "deterministic" }, "right": { "mode": "stochastic" } },
         { "claim": "Beta clones of bounded actions equal Gaussian peak DRIL on clipped ones", "is": "equal", "margin": 50, "where": { "mode": "stochastic", "demonstrations": 20 }, "left": { "expert": "bounded", "method": "bc", "policy": "beta" }, "right": { "expert": "clipped", "method": "dril-peak", "policy": "gaussian" } },
         { "claim": "Final DRIL beats behaviour cloning", "is": "greater", "left": { "method": "dril-final" }, "right": { "method": "bc" } },
     ]);
