@@ -16,6 +16,7 @@ mod shared;
 mod signals;
 mod terminal;
 pub mod untrusted;
+mod warnings;
 mod why;
 
 use std::ffi::{OsStr, OsString};

@@ -5,10 +5,14 @@ mod compare;
 mod estimate;
 mod explain;
 mod forecast;
+mod idle;
 mod key;
 mod lookup;
 mod order;
 mod outside;
+mod pooled;
+mod warning;
+mod warnings;
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::Path;
@@ -24,6 +28,8 @@ pub use order::Order;
 pub(crate) use order::feeding;
 pub use outside::{OutsideFile, inside};
 use serde::Serialize;
+pub use warning::Warning;
+pub use warnings::warnings;
 
 use crate::fsx::FsError;
 use crate::resolve::{Graph, StageIndex, StageInstance};

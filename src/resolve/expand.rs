@@ -217,7 +217,11 @@ fn instance_of(
                 at,
                 format!("stage `{}` has a seed, but kind `{}` is not seeded", stage.name.text, kind.name()),
             )
-            .hint("remove `seed`")
+            .hint(if kind.is_program() {
+                "write `{seed}` in the command where its program takes the seed, or remove `seed`"
+            } else {
+                "remove `seed`"
+            })
         });
     }
     match checked {

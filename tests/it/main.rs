@@ -60,4 +60,5 @@ mod tidy;
 mod tools;
 mod unchanged;
 mod untrusted;
+mod warnings;
 mod watch;

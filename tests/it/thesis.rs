@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use dril_pipe::plan::warnings;
 use dril_pipe::resolve::{Choices, Graph, resolve};
 use dril_pipe::spec::{SourceName, Spec, parse, parse_with};
 use dril_stage_api::{Kind, Registry};
@@ -78,7 +79,9 @@ fn every_pipeline_resolves_at_every_profile() {
         let profiles: Vec<&str> = spec.profiles().collect();
         assert!(profiles.contains(&"smoke"), "{file} has no profile that takes minutes");
         for profile in profiles {
-            assert!(graph_of(file, profile, &[]).stages.node_count() > 1, "{file} at {profile}");
+            let graph = graph_of(file, profile, &[]);
+            assert!(graph.stages.node_count() > 1, "{file} at {profile}");
+            assert_eq!(warnings(&graph, &graph), [], "{file} at {profile}");
             seen += 1;
         }
     }

@@ -10,10 +10,10 @@ use crate::cli::args::PlanArgs;
 use crate::cli::executor::{self, Cluster};
 use crate::cli::names::Names;
 use crate::cli::terminal::{Style, Terminal, count, estimate, print};
-use crate::cli::{columns, pipeline, shared, why};
+use crate::cli::{columns, pipeline, shared, warnings, why};
 use crate::error::Error;
 use crate::exec::Options;
-use crate::plan::{self, Counts, Estimates, Plan, Verdict};
+use crate::plan::{self, Counts, Estimates, Plan, Verdict, Warning};
 use crate::resolve::StageIndex;
 use crate::session;
 use crate::store::Store;
@@ -27,17 +27,20 @@ pub(in crate::cli) fn main(args: &PlanArgs, registry: &Registry) -> Result<ExitC
     let loaded = session.load()?;
     let cluster =
         executor::cluster(&args.executor, shared::settings(Some(&args.pipeline.file), Some(registry))?)?;
-    print_plan(&loaded.plan()?, session.store(), (args.json, args.all), cluster.as_ref())?;
+    let plan = loaded.plan()?;
+    let warnings = warnings::show(&loaded);
+    print_plan(&plan, &warnings, session.store(), (args.json, args.all), cluster.as_ref())?;
     Ok(ExitCode::SUCCESS)
 }
 
 /// Prints a plan for this machine.
-pub(super) fn show(plan: &Plan<'_>, store: &Store, json: bool, all: bool) -> Result<(), Error> {
-    print_plan(plan, store, (json, all), None)
+pub(super) fn show(plan: &Plan<'_>, warnings: &[Warning], store: &Store, json: bool) -> Result<(), Error> {
+    print_plan(plan, warnings, store, (json, false), None)
 }
 
 fn print_plan(
     plan: &Plan<'_>,
+    warnings: &[Warning],
     store: &Store,
     (json, all): (bool, bool),
     cluster: Option<&Cluster>,
@@ -46,6 +49,7 @@ fn print_plan(
     let forecast = cluster.map(|cluster| OnCluster::of(plan, &estimates, cluster));
     if json {
         let mut value = as_json(plan, &estimates);
+        value["warnings"] = json!(warnings);
         if let Some(forecast) = forecast {
             value["forecast"] = forecast.json(plan);
         }

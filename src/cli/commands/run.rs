@@ -10,7 +10,7 @@ use crate::cli::args::RunArgs;
 use crate::cli::report::{self, Ending};
 use crate::cli::shared::{Exchange, Taken};
 use crate::cli::terminal::{Style, Terminal, count, duration, print, shown};
-use crate::cli::{executor, giving, pipeline, resources, shared, signals};
+use crate::cli::{executor, giving, pipeline, resources, shared, signals, warnings};
 use crate::error::{Error, ErrorKind, exit_codes};
 use crate::exec::{Executed, Options};
 use crate::session::{LockMode, UpToDate};
@@ -38,8 +38,9 @@ pub(in crate::cli) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCo
         return Ok(ExitCode::SUCCESS);
     }
     let loaded = session.load()?;
+    let warnings = warnings::show(&loaded);
     if args.dry_run {
-        plan::show(&loaded.plan()?, session.store(), args.json, false)?;
+        plan::show(&loaded.plan()?, &warnings, session.store(), args.json)?;
         return Ok(ExitCode::SUCCESS);
     }
     let stop = signals::stop_flag()?;
