@@ -1,11 +1,15 @@
 //! The units of each counted resource (`--resources gpu=2`), with their names.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
+use super::terminal::print_error;
 use crate::error::{Error, ErrorKind};
 use crate::exec::Units;
 use crate::fsx;
+use crate::resolve::Graph;
 use crate::spec::limits::MOST_OF_ONE;
+use crate::spec::suggest;
 
 /// The variable that lists the GPUs that a program may use; that of this program limits its stages.
 pub(super) const GPUS: &str = "CUDA_VISIBLE_DEVICES";
@@ -46,6 +50,18 @@ fn units_with(given: &[(String, u32)], visible: Option<&str>, cards: usize) -> R
         units.insert("gpu".to_owned(), visible.unwrap_or_else(|| numbered(cards.max(1))));
     }
     Ok(units)
+}
+
+/// Warns of resources that are given and that no stage uses: usually a misspelt name, and the stages wait for one unit.
+pub(super) fn warn_of_unused(given: &[(String, u32)], graph: &Graph) {
+    let known: BTreeSet<&str> =
+        graph.stages.node_weights().flat_map(|stage| stage.resources.keys().map(String::as_str)).collect();
+    for (name, count) in given.iter().filter(|(name, _)| !known.contains(name.as_str())) {
+        let hint = suggest::hint(name, "the resources of the stages", known.iter().copied());
+        print_error(&format!(
+            "warning: `--resources {name}={count}`: no stage uses this resource\n  = hint: {hint}\n"
+        ));
+    }
 }
 
 /// The number of CUDA GPUs, from `/dev`.

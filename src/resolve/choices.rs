@@ -4,7 +4,7 @@
 use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
 
-use super::Choices;
+use super::{Choices, sweep};
 use crate::spec::Spec;
 use crate::spec::layer::{self, Known};
 use crate::spec::model::{Defaults, Layer, MatrixAxis, Profile};
@@ -91,6 +91,7 @@ impl<'a> Layers<'a> {
                 Ok([value]) => Some((as_axis(&keys, value), None)),
                 Err(values) => several(spec, &keys, values, &settings, problems),
             };
+            report_nothing(spec, &keys, found.as_ref().map(|(value, _)| value), problems);
             if let Some((value, sweep)) = found {
                 let layer = layer::overrides(nested(keys.clone(), value), &known, "`--set`", problems);
                 settings.push(Setting { keys, layer, sweep });
@@ -200,6 +201,22 @@ fn profile<'a>(
     (wanted.into(), &[])
 }
 
+/// Reports nothing for all of a stage, of `params` or the like: it would leave them as they are.
+fn report_nothing(spec: &Spec, keys: &[Key], value: Option<&Node>, problems: &mut ProblemList) {
+    let ([key], Some(Node { value: Value::Null, span, .. })) = (keys, value) else { return };
+    let is_part = ["params", "axes", "defaults"].contains(&&*key.text);
+    if is_part || spec.stages.iter().any(|stage| stage.name.text == key.text) {
+        problems.add(|| {
+            Problem::new(*span, format!("found nothing for `{}`, expected a map of values", key.text)).hint(
+                format!(
+                    "set one of its values, as in `--set {}.name=value`, or leave this `--set` out",
+                    key.text
+                ),
+            )
+        });
+    }
+}
+
 /// The value under these names, as a map.
 fn nested(keys: Vec<Key>, value: Node) -> Node {
     keys.into_iter().rev().fold(value, |node, key| {
@@ -226,8 +243,9 @@ fn several(
     let is_stage = spec.stages.iter().any(|stage| stage.name.text == first.text);
     if !is_stage || keys.len() < 2 || !names::is_identifier(&last.text) {
         problems.add(|| {
-            Problem::new(at, format!("found several values for `{}`, expected one", first.text))
-                .hint("several values are allowed for a field of a stage, as in `--set dril.total_timesteps=8192,16384`, and for an axis")
+            let path = keys.iter().map(|key| &*key.text).collect::<Vec<_>>().join(".");
+            Problem::new(at, format!("found several values for `{path}`, expected one"))
+                .hint(sweep::hint(spec, keys))
                 .hint("write a text with commas in quotes, a list in brackets")
         });
         return None;

@@ -1,7 +1,7 @@
 //! From a [`Spec`] to a [`Graph`] of stage instances: profile, overrides, matrices, parameters, wiring, type check.
 //! Pure: no I/O. All problems at once.
 //!
-//! `choices` parses profile and `--set`; `globals` and `axes` evaluate params and axes; `matrix` and `grid` expand matrices by
+//! `choices` parses profile and `--set` (`sweep` explains where several values do not work); `globals` and `axes` evaluate params and axes; `matrix` and `grid` expand matrices by
 //! their `rules` (`when` checks its values against those that axes have `elsewhere`), and `expand` checks the parameters of each
 //! instance; `items`, `select` and `wiring` connect instances; `build` makes the graph.
 //! `scope` resolves `$name`; `template` and `reference` parse texts with `$` and input references.
@@ -25,6 +25,7 @@ mod reference;
 mod rules;
 mod scope;
 mod select;
+mod sweep;
 mod target;
 mod template;
 mod when;

@@ -61,7 +61,12 @@ pub(super) fn explain(found: &ParamProblem, with: &Node, stage: &str, whole: Spa
     let better = better.or_else(|| missing(words));
     let at = unknown.map_or_else(|| reached.place(whole), |key| key.span);
     let used = reached.node.via.filter(|_| at == reached.node.span);
-    Problem::new(at, message).maybe_hint(found.hint.clone().or(better)).maybe_related(used, "used here")
+    let doubled = (words.starts_with("unknown field `with`") && found.path.len() < 2)
+        .then(|| "leave `with` out: a profile and `--set` name the fields of a stage without it".to_owned());
+    Problem::new(at, message)
+        .maybe_hint(doubled)
+        .maybe_hint(found.hint.clone().or(better))
+        .maybe_related(used, "used here")
 }
 
 /// ", in `env.car-racing`" for what is unknown or missing somewhere inside.

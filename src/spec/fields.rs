@@ -79,9 +79,10 @@ pub(super) fn identifier(key: &Key, what: &str, problems: &mut ProblemList) -> b
     if !fine {
         problems.add(|| {
             let name = super::node::shorten(&key.text);
+            let article = if what.starts_with(['a', 'e', 'i', 'o', 'u']) { "an" } else { "a" };
             Problem::new(
                 key.span,
-                format!("`{name}` cannot name a {what}, expected a letter, then letters, digits, `-` or `_`"),
+                format!("`{name}` cannot name {article} {what}, expected a letter, then letters, digits, `-` or `_`"),
             )
         });
     }

@@ -110,3 +110,14 @@ fn mistakes_in_limits_are_reported_all_at_once_with_their_place() {
         assert!(ended.stderr.contains(part), "{part}: {}", ended.stderr);
     }
 }
+
+#[test]
+fn a_resource_that_no_stage_uses_is_warned_of_with_those_that_there_are() {
+    let sealed = Sealed::with(
+        "name: p\nstages: { a: { kind: emit, with: { text: a }, resources: { gpu: 1, licence: 1 } } }\n",
+    );
+    let expected = "warning: `--resources license=2`: no stage uses this resource\n  \
+                    = hint: did you mean `licence`? the resources of the stages are `gpu`, `licence`\n";
+    let ended = sealed.run("run p.yaml --resources gpu=1,license=2");
+    assert_eq!((ended.code, &*ended.stderr), (0, expected));
+}

@@ -38,6 +38,7 @@ pub(in crate::cli) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCo
         return Ok(ExitCode::SUCCESS);
     }
     let loaded = session.load()?;
+    resources::warn_of_unused(&args.resources, loaded.whole_graph());
     let warnings = warnings::show(&loaded);
     if args.dry_run {
         plan::show(&loaded.plan()?, &warnings, session.store(), args.json)?;

@@ -51,6 +51,33 @@ impl<'de> Deserialize<'de> for Word {
     }
 }
 
+struct WordsVisitor;
+
+impl<'de> de::Visitor<'de> for WordsVisitor {
+    type Value = Option<Vec<Word>>;
+
+    fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("a list, as in `[echo, hello]`; a command line for the shell is written as `shell: ...`")
+    }
+
+    fn visit_unit<E: de::Error>(self) -> Result<Self::Value, E> {
+        Ok(None)
+    }
+
+    fn visit_seq<A: de::SeqAccess<'de>>(self, mut items: A) -> Result<Self::Value, A::Error> {
+        let mut words = Vec::new();
+        while let Some(word) = items.next_element()? {
+            words.push(word);
+        }
+        Ok(Some(words))
+    }
+}
+
+/// Reads the words of a command line.
+pub(super) fn words<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Vec<Word>>, D::Error> {
+    deserializer.deserialize_any(WordsVisitor)
+}
+
 impl JsonSchema for Word {
     fn schema_name() -> Cow<'static, str> {
         "Word".into()

@@ -31,7 +31,7 @@ pub struct Command;
 pub struct CommandParams {
     /// The program and its arguments, without a shell. `{inputs.name}`, `{outputs.name}`, `{checkpoints}` and `{seed}` are replaced
     /// by paths and the seed.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "fields::words")]
     run: Option<Vec<Word>>,
     /// A shell script instead, with the same placeholders; write `$$` for a `$` of the shell. The stage fails if any command fails,
     /// also inside a pipe: the shell is `sh -eu`, or `bash -euo pipefail` if the script contains a pipe.
