@@ -3,9 +3,10 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use dril_pipe::plan::warnings;
-use dril_pipe::resolve::{Choices, Graph, resolve};
+use dril_pipe::plan::{KeyInput, KeyInputs, warnings};
+use dril_pipe::resolve::{Choices, Graph, Origin, Source, resolve};
 use dril_pipe::spec::{SourceName, Spec, parse, parse_with};
+use dril_pipe::store::{Digest, Key};
 use dril_stage_api::{Kind, Registry};
 
 fn registry() -> Registry {
@@ -216,4 +217,56 @@ fn the_transfer_scores_the_same_tracks_by_the_same_rules_in_both_places() {
 fn the_readme_shows_the_first_pipeline_as_it_is() {
     let readme = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("README.md")).unwrap();
     assert!(readme.contains(&format!("```yaml\n{}```", text("first.yaml"))));
+}
+
+/// Key and outputs of each stage of a profile in `thesis.lock`.
+fn locked(profile: &str) -> BTreeMap<String, (Key, BTreeMap<String, Digest>)> {
+    let all = text("thesis.lock");
+    let lines = all.lines().filter_map(|line| line.strip_prefix(&format!("{profile}\t")));
+    let line = |line: &str| {
+        let mut cells = line.split('\t');
+        let (stage, key) = (cells.next().unwrap().to_owned(), cells.next().unwrap().parse().unwrap());
+        let output = |cell: &str| {
+            let (output, digest) = cell.split_once('=').unwrap();
+            (output.to_owned(), digest.parse().unwrap())
+        };
+        (stage, (key, cells.map(output).collect()))
+    };
+    lines.map(line).collect()
+}
+
+#[test]
+fn the_lock_file_of_the_thesis_has_the_keys_of_its_stages() {
+    assert!(!locked("smoke").is_empty());
+    for profile in ["desk", "smoke"] {
+        let (graph, locked) = (graph(profile, &[]), locked(profile));
+        // Computing it takes hours, so after a change of learning it may be absent for some time.
+        if locked.is_empty() && profile == "desk" {
+            continue;
+        }
+        let digest = |source: &Source| match &source.from {
+            Origin::Stage { stage, output } => locked[&*graph.stages[*stage].id].1[*output],
+            Origin::File { path, .. } => {
+                let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines").join(path);
+                Digest::new(*blake3::hash(&std::fs::read(path).unwrap()).as_bytes())
+            }
+        };
+        for stage in graph.stages.node_weights() {
+            let mut inputs = Vec::new();
+            for wire in &stage.inputs {
+                let items = wire.sources.iter().map(|source| (digest(source), &source.labels)).collect();
+                inputs.push(KeyInput { port: wire.port, many: wire.many, items });
+            }
+            let key = KeyInputs {
+                kind: stage.kind.name(),
+                revision: stage.kind.revision(),
+                params: &stage.params,
+                seed: stage.seed.map(|seed| seed.0),
+                inputs,
+            };
+            let hint = "if the change is meant, run the pipeline at this profile with `--lock`";
+            assert_eq!(key.key().unwrap(), locked[&*stage.id].0, "{} at {profile}: {hint}", stage.id);
+        }
+        assert_eq!(locked.len(), graph.stages.node_count(), "{profile}");
+    }
 }
