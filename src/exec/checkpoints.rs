@@ -1,6 +1,7 @@
 //! The checkpoints of a stage as the engine sees them: it removes them where a stage must start without, and mentions them where
 //! a stage failed after it had resumed. A checkpoint that was saved half, or by a faulty program, would block its stage for ever.
 
+use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, SystemTime};
 
@@ -18,6 +19,32 @@ pub(super) fn saved(job: &Job) -> fsx::Result<Option<Duration>> {
     }
     let saved = fsx::newest(&job.checkpoints)?;
     Ok(saved.map(|saved| SystemTime::now().duration_since(saved).unwrap_or_default()))
+}
+
+/// The file beside the checkpoints with the seconds that the stage computed until the last of them was saved.
+fn spent_file(job: &Job) -> PathBuf {
+    job.checkpoints.with_file_name("spent")
+}
+
+/// How long the stage computed before it resumed from its checkpoint: where an engine was killed, the time of its attempt is
+/// unknown and not counted.
+pub(super) fn spent(job: &Job) -> Duration {
+    let text =
+        fsx::read_if_there(&spent_file(job)).ok().flatten().and_then(|bytes| String::from_utf8(bytes).ok());
+    let seconds = text.and_then(|text| text.trim().parse().ok());
+    seconds.and_then(|seconds| Duration::try_from_secs_f64(seconds).ok()).unwrap_or_default()
+}
+
+/// Notes how long a stage that did not end computed for the checkpoint that it leaves: `before` in earlier attempts, and this one
+/// up to the time when it saved. Only records are less exact without it, so it need not succeed.
+pub(super) fn note_spent(job: &Job, before: Duration, began: SystemTime) {
+    if let Ok(true) = fsx::list(&job.checkpoints).map(|files| !files.is_empty())
+        && let Ok(Some(saved)) = fsx::newest(&job.checkpoints)
+        && let Ok(now) = saved.duration_since(began)
+    {
+        let seconds = (before + now).as_secs_f64();
+        let _ = fsx::write(&spent_file(job), format!("{seconds:.3}\n").as_bytes());
+    }
 }
 
 /// Removes the checkpoints of a stage that must start without them. False where the run was stopped meanwhile.

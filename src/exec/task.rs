@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::sync::mpsc::{SendError, SyncSender};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 use dril_stage_api::{Job, Kind, Message, Ports};
 
@@ -210,13 +210,17 @@ impl<'a> Task<'a> {
             fresh,
             inputs: Some(&laid_out),
         };
-        let began = Instant::now();
+        let before = saved.map_or(Duration::ZERO, |_| checkpoints::spent(&self.job));
+        let (began, began_at) = (Instant::now(), SystemTime::now());
         let (stage, made_with) = (self.stage, &mut self.record.fingerprint.with);
         let mut on_message = |message| match message {
             Message::MadeWith(versions) => made_with.extend(versions),
             other => send(WorkerEvent::Message(stage, other)),
         };
         let exit = context.runner.run(&launch, &mut on_message);
+        if !matches!(exit, Ok(Exit::Done)) {
+            checkpoints::note_spent(&self.job, before, began_at);
+        }
         let mention = |failure| checkpoints::mention(failure, &self.job.stage, saved);
         let name = |failure| mention(name_inputs(failure, &self.job, &self.record));
         if exit.map_err(name)? == Exit::Stopped {
@@ -224,7 +228,7 @@ impl<'a> Task<'a> {
         }
         let took = began.elapsed();
         laid_out.check()?;
-        self.record.seconds = took.as_secs_f64();
+        self.record.seconds = (before + took).as_secs_f64();
         let taken = publish::take_outputs(self.ports, &self.folder, context.store, &self.run);
         let (outputs, blobs) = taken.map_err(mention)?;
         self.record.outputs = outputs;

@@ -31,7 +31,7 @@ pub struct Record {
     pub inputs: Vec<RecordInput>,
     /// The outputs by name.
     pub outputs: Outputs,
-    /// The duration of the stage's process.
+    /// The seconds that the stage computed: its last process, and earlier ones up to the checkpoint that they left.
     pub seconds: f64,
     /// What built it; never part of the key.
     pub fingerprint: Fingerprint,

@@ -52,6 +52,39 @@ fn forced_stages_start_without_their_checkpoints_and_a_failure_after_a_resumptio
 }
 
 #[test]
+fn the_duration_of_a_stage_includes_what_it_computed_before_it_resumed() {
+    let sealed = Sealed::with(
+        "\
+name: p
+stages:
+  train:
+    kind: command
+    with:
+      shell: \"if test $$MODE = die; then sleep 0.1; echo half > {checkpoints}/state; exit 9; fi; echo done > {outputs.o}\"
+      pass_env: [MODE]
+      outputs: { o: o.txt }
+",
+    );
+    assert_eq!(run(&sealed, "die", &[]).code, 1);
+    let folder = sealed.list("cache/checkpoints-v1").remove(0);
+    let spent = format!("cache/checkpoints-v1/{folder}/spent");
+    let first: f64 = sealed.read(&spent).trim().parse().unwrap();
+    assert!(first > 0.05, "{first}");
+    // A second attempt adds to it, and the result has the sum.
+    sealed.write(&spent, "1000\n");
+    assert_eq!(run(&sealed, "die", &[]).code, 1);
+    let second: f64 = sealed.read(&spent).trim().parse().unwrap();
+    assert!(second > 1000.05, "{second}");
+    assert_eq!(run(&sealed, "go", &[]).code, 0);
+    let shown: serde_json::Value = serde_json::from_str(&sealed.run_ok("show p.yaml train --json")).unwrap();
+    assert!(shown[0]["seconds"].as_f64().unwrap() > second, "{shown}");
+    // Without the checkpoint, nothing of it counts.
+    assert_eq!(run(&sealed, "go", &["--force", "train"]).code, 0);
+    let shown: serde_json::Value = serde_json::from_str(&sealed.run_ok("show p.yaml train --json")).unwrap();
+    assert!(shown[0]["seconds"].as_f64().unwrap() < 1000.0, "{shown}");
+}
+
+#[test]
 fn a_forced_stage_that_fails_did_not_resume_unless_it_is_tried_again() {
     let sealed = Sealed::with(
         "name: p\nstages:\n  a: { kind: count, with: { to: 5, at: 3, mishap: fail } }\n  b: { kind: count, retries: { times: 1, pause: 1s }, with: { to: 6, at: 3, mishap: fail } }\n",
