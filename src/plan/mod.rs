@@ -11,6 +11,7 @@ mod lookup;
 mod order;
 mod outside;
 mod pooled;
+mod undeclared;
 mod warning;
 mod warnings;
 

@@ -80,6 +80,11 @@ impl<'s> Loaded<'s> {
         self.selected.all()
     }
 
+    /// The folder of the pipeline file, which relative paths in it start from.
+    pub fn base(&self) -> PathBuf {
+        self.session.source.base()
+    }
+
     /// Plans the selected stages. Reads the store and changes nothing.
     ///
     /// # Errors

@@ -70,7 +70,7 @@ fn the_thesis_resolves_at_every_profile() {
 fn every_pipeline_resolves_at_every_profile() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines");
     let mut seen = 0;
-    for entry in std::fs::read_dir(folder).unwrap() {
+    for entry in std::fs::read_dir(&folder).unwrap() {
         let path = entry.unwrap().path();
         if path.extension().is_none_or(|ending| ending != "yaml") {
             continue;
@@ -82,7 +82,7 @@ fn every_pipeline_resolves_at_every_profile() {
         for profile in profiles {
             let graph = graph_of(file, profile, &[]);
             assert!(graph.stages.node_count() > 1, "{file} at {profile}");
-            let warned = warnings(&graph, &graph);
+            let warned = warnings(&graph, &graph, &folder);
             assert!(warned.is_empty(), "{file} at {profile}: {warned:?}");
             seen += 1;
         }
