@@ -3,7 +3,7 @@
 //!
 //! A line is profile, stage, key, then `output=digest` for each output, separated by tabs. `#` starts a comment.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use crate::error::{Error, ErrorKind};
@@ -121,6 +121,12 @@ impl LockFile {
 
     /// How a plan differs from the lock file, as far as that is known before anything runs.
     pub(super) fn against_plan(&self, plan: &Plan<'_>) -> Vec<String> {
+        let profiles: BTreeSet<&str> = self.lines.keys().map(|(profile, _)| profile.as_str()).collect();
+        if !profiles.contains(&*plan.graph.profile) {
+            let there = profiles.iter().map(|profile| format!("`{profile}`")).collect::<Vec<_>>().join(", ");
+            let there = if there.is_empty() { "none".to_owned() } else { format!("those of {there}") };
+            return vec![format!("it has no lines of profile `{}`, only {there}", plan.graph.profile)];
+        }
         let mut found = Vec::new();
         for (index, verdict) in &plan.steps {
             let id = &plan.graph.stages[*index].id;
@@ -164,6 +170,13 @@ impl LockFile {
             }
         }
         found
+    }
+
+    /// The number of lines that are new, different or gone.
+    pub(super) fn changed_since(&self, old: Option<&Self>) -> usize {
+        let Some(old) = old else { return self.lines.len() };
+        let gone = old.lines.keys().filter(|place| !self.lines.contains_key(*place)).count();
+        gone + self.lines.iter().filter(|(place, line)| old.lines.get(*place) != Some(line)).count()
     }
 
     fn line(&self, profile: &str, stage: &str) -> Option<&Line> {

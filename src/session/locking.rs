@@ -22,6 +22,15 @@ pub enum LockMode {
     Check,
 }
 
+/// A lock file that a run wrote, because its results differ from what was in it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Rewritten {
+    /// The file.
+    pub path: PathBuf,
+    /// The number of lines that are new, different or gone.
+    pub lines: usize,
+}
+
 /// The lock file of a run.
 pub(super) struct Locking {
     path: PathBuf,
@@ -56,8 +65,8 @@ impl Locking {
         }
     }
 
-    /// Compares the results with the lock file, or writes them to it.
-    pub fn check_or_write(&self, graph: &Graph, executed: &Executed) -> Result<(), Error> {
+    /// Compares the results with the lock file, or writes them to it. Returns how many lines changed, if any.
+    pub fn check_or_write(&self, graph: &Graph, executed: &Executed) -> Result<Option<Rewritten>, Error> {
         let keys: Keys = graph
             .stages
             .node_indices()
@@ -75,8 +84,10 @@ impl Locking {
             lock.update(graph, &keys, executed, executed.outcome.is_complete());
             if self.old.as_ref() != Some(&lock) {
                 fsx::write_atomic(&self.path, lock.text().as_bytes())?;
+                let lines = lock.changed_since(self.old.as_ref());
+                return Ok(Some(Rewritten { path: self.path.clone(), lines }));
             }
         }
-        Ok(())
+        Ok(None)
     }
 }

@@ -22,7 +22,7 @@ use crate::exec::{Event, Options, Runner};
 use crate::resolve::{Choices, Selection};
 use crate::store::Store;
 pub use lockfile::LockFile;
-pub use locking::LockMode;
+pub use locking::{LockMode, Rewritten};
 pub use results::{Published, cut_names, default_folder, file_names};
 pub use run::{Finished, Loaded, Prepared, Remaining};
 pub use source::{PipelineSource, Reading};

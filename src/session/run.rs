@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use super::Session;
 use super::about::about;
-use super::locking::Locking;
+use super::locking::{Locking, Rewritten};
 use super::results::{self, Published};
 use super::source::{PipelineSource, Reading};
 use super::unchanged::{self, RunFingerprint};
@@ -41,6 +41,8 @@ pub struct Finished {
     pub published: Option<Published>,
     /// Why the results could not be copied, or what differs from the lock file. The outputs are in the store all the same.
     pub error: Option<Error>,
+    /// The lock file, if the run changed it.
+    pub locked: Option<Rewritten>,
     /// What is left for the next run, where this one ran out of time.
     pub remaining: Option<Remaining>,
     /// The results folder, even if nothing was copied.
@@ -172,14 +174,18 @@ impl Prepared<'_> {
             Ok(published) => (published, None),
             Err(failed) => (None, Some(failed)),
         };
+        let mut locked = None;
         if error.is_none() && selected.whole.is_none() {
-            error = lock.check_or_write(&selected.graph, &executed).err();
+            match lock.check_or_write(&selected.graph, &executed) {
+                Ok(rewritten) => locked = rewritten,
+                Err(failed) => error = Some(failed),
+            }
         }
         let remaining = if executed.outcome.out_of_time { loaded.remaining().ok() } else { None };
         if let Some(fingerprint) = fingerprint.filter(|_| error.is_none() && executed.outcome.is_complete()) {
             fingerprint.keep(source, &selected.graph, store, files, &executed, published.as_ref());
         }
-        Ok(Finished { executed, published, error, remaining, folder })
+        Ok(Finished { executed, published, error, locked, remaining, folder })
     }
 }
 

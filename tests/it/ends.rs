@@ -37,7 +37,8 @@ fn a_lock_file_has_one_sorted_line_a_stage_and_runs_of_the_same_file_keep_it() {
     let sealed = Sealed::with(WORDS);
     sealed.run_ok("run p.yaml");
     assert!(!sealed.path("p.lock").exists(), "nobody asked for one");
-    sealed.run_ok("run p.yaml --lock");
+    let said = sealed.run_ok("run p.yaml --lock");
+    assert!(said.contains("\nlock file: p.lock (8 lines changed)\n"), "{said}");
     let text = sealed.read("p.lock");
     let stages: Vec<&str> = text.lines().skip(1).map(|line| line.split('\t').nth(1).unwrap()).collect();
     assert_eq!(stages.len(), 8);
@@ -48,9 +49,14 @@ fn a_lock_file_has_one_sorted_line_a_stage_and_runs_of_the_same_file_keep_it() {
     assert!(both.contains(text.lines().nth(1).unwrap()));
     sealed.run_ok("run p.yaml --set count.to=5");
     assert_eq!(sealed.read("p.lock"), both, "an experiment with --set is not locked");
-    sealed.run_ok("run p.yaml");
+    let said = sealed.run_ok("run p.yaml");
+    assert!(!said.contains("lock file"), "{said}");
     sealed.run_ok("run p.yaml --locked");
     assert_eq!(sealed.read("p.lock"), both);
+    sealed
+        .write("p.yaml", &WORDS.replace("  apart:", "  other: { kind: emit, with: { text: x } }\n  apart:"));
+    let said = sealed.run_ok("run p.yaml");
+    assert!(said.contains("\nlock file: p.lock (1 line changed)\n"), "{said}");
 }
 
 #[test]
@@ -60,6 +66,10 @@ fn locked_fails_before_anything_runs_where_a_key_differs() {
     assert_eq!(ended.code, 5, "{ended:?}");
     assert!(ended.stderr.contains("there is no lock file `p.lock`"), "{}", ended.stderr);
     sealed.run_ok("run p.yaml --lock");
+    let ended = sealed.run("run p.yaml --locked --profile quick");
+    assert_eq!(ended.code, 5, "{ended:?}");
+    let expected = "it has no lines of profile `quick`, only those of `full`";
+    assert!(ended.stderr.contains(expected) && !ended.stderr.contains("is not in"), "{}", ended.stderr);
     let ended = sealed.run("run p.yaml --locked --set count.to=5");
     assert_eq!(ended.code, 5, "{ended:?}");
     assert!(ended.stderr.contains("`count[word=one]` has key "), "{}", ended.stderr);

@@ -12,7 +12,7 @@ use crate::cli::terminal::{
 use crate::exec::{Event, RunOutcome};
 use crate::plan::{Counts, Plan, Verdict};
 use crate::resolve::{Graph, StageIndex};
-use crate::session::{Remaining, cut_names};
+use crate::session::{Remaining, Rewritten, cut_names};
 use crate::store::Key;
 
 /// The number of groups of skipped stages that are listed.
@@ -202,6 +202,9 @@ impl<'g> EventText<'g> {
                     published.removed.join(", ")
                 );
             }
+        }
+        if let Some(Rewritten { path, lines }) = &ending.finished.locked {
+            text += &format!("\nlock file: {} ({} changed)", shown(path), count(*lines, "line"));
         }
         text
     }
