@@ -35,7 +35,7 @@ trap finish EXIT
 
 fail() { echo "FAILED: $1" >&2; tail -n 30 ./*.out ./trace >&2 2>/dev/null || true; exit 1; }
 # Waits at most a minute until a command succeeds.
-until_true() { for _ in $(seq 600); do eval "$1" && return; sleep 0.1; done; fail "waited in vain until $1"; }
+until_true() { for _ in $(seq 600); do eval "$1" && return; sleep 0.1; done; fail "waited too long until $1"; }
 running() { [ -n "$(squeue --noheader --me --states=RUNNING)" ]; }
 no_jobs() { [ -z "$(squeue --noheader --me)" ]; }
 begun() { [ ! -e trace ] && echo 0 || grep -c "^begin ${1:-}" trace || true; }
