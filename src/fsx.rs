@@ -94,6 +94,11 @@ pub fn entry(path: &Path) -> Result<Option<Entry>> {
     }))
 }
 
+/// The absolute form of a path, which need not exist; the path itself where the current folder is unknown.
+pub fn absolute(path: &Path) -> PathBuf {
+    std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
+}
+
 /// True where an open file is a pipe.
 pub fn is_pipe(file: &impl std::os::fd::AsFd) -> bool {
     rustix::fs::fstat(file)

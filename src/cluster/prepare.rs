@@ -11,7 +11,7 @@ use super::gpus;
 use super::handoff::Home;
 use super::scheduler::{Scheduler, Submission};
 use super::site::Site;
-use crate::exec::Launch;
+use crate::exec::{Launch, quoted};
 use crate::settings::JobSettings;
 
 /// How long before the end of its time a job gets the signal to stop, unless it is set.
@@ -123,9 +123,4 @@ pub(super) fn moved(job: &Job, from: &Path, to: &Path) -> Job {
         }
     }
     job
-}
-
-/// In single quotes, for a shell.
-pub(super) fn quoted(text: &str) -> String {
-    format!("'{}'", text.replace('\'', "'\\''"))
 }

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use std::process::{Command, Output};
 use std::time::Duration;
 
-use super::prepare::quoted;
 use super::scheduler::{JobId, Scheduler, Seen, State, Submission, SubmitError};
+use crate::exec::quoted;
 use crate::settings::{ExecutorSettings, Part, parts, placeholders};
 
 /// Jobs in one command line.

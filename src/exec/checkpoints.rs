@@ -9,6 +9,7 @@ use dril_stage_api::Job;
 
 use super::failure::Failure;
 use super::options::POLL_INTERVAL;
+use super::quote::quoted;
 use super::runner::Launch;
 use crate::fsx::{self, Lock};
 
@@ -84,7 +85,7 @@ pub(super) fn mention(failure: Failure, stage: &str, saved: Option<Duration>) ->
         "{failure}; it had resumed from the checkpoint that was saved {} before it started: if that is broken, `run --force {}` \
          starts without it",
         rough(saved),
-        quoted(stage)
+        word(stage)
     ))
 }
 
@@ -99,12 +100,9 @@ fn rough(time: Duration) -> String {
 }
 
 /// A stage as one word of a shell.
-fn quoted(stage: &str) -> String {
-    if stage.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"-_.".contains(&byte)) {
-        stage.to_owned()
-    } else {
-        format!("'{}'", stage.replace('\'', "'\\''"))
-    }
+fn word(stage: &str) -> String {
+    let is_plain = stage.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"-_.".contains(&byte));
+    if is_plain { stage.to_owned() } else { quoted(stage) }
 }
 
 #[cfg(test)]

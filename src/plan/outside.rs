@@ -162,7 +162,7 @@ fn digests<'w>(
             }
         };
         for (path, stat) in files {
-            match stats.digest(&absolute(&path), &stat) {
+            match stats.digest(&fsx::absolute(&path), &stat) {
                 Some(digest) => drop(known.insert(path, (digest, stat))),
                 None => {
                     bytes = bytes.saturating_add(stat.bytes);
@@ -183,7 +183,7 @@ fn digests<'w>(
         match result {
             Ok(Read { digest, stat, began, steady }) => {
                 if steady {
-                    stats.learn(&absolute(&path), stat, began, digest);
+                    stats.learn(&fsx::absolute(&path), stat, began, digest);
                 }
                 known.insert(path, (digest, stat));
             }
@@ -191,10 +191,6 @@ fn digests<'w>(
         }
     }
     if errors.is_empty() { Ok(known) } else { Err(errors) }
-}
-
-fn absolute(path: &Path) -> PathBuf {
-    std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
 }
 
 struct Read {

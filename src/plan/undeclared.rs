@@ -15,14 +15,14 @@ const BETWEEN: [char; 12] = ['"', '\'', '`', ';', '|', '&', '<', '>', '(', ')', 
 
 /// One warning for each file and stage, of the stages for which `is_shown` is true. `base` is the folder of the pipeline file.
 pub(super) fn warnings(graph: &Graph, base: &Path, is_shown: &dyn Fn(&str) -> bool) -> Vec<Warning> {
-    let base = &std::path::absolute(base).unwrap_or_else(|_| base.to_owned());
+    let base = &fsx::absolute(base);
     let (mut known, mut found) = (BTreeSet::new(), Vec::new());
     for stage in graph.stages.node_weights().filter(|stage| stage.kind.is_program() && is_shown(&stage.name))
     {
         // The instances of a stage share their command but for values of axes.
         if known.insert(&*stage.name) {
             let files: BTreeSet<&str> = words(stage).into_iter().filter(|word| is_file(base, word)).collect();
-            found.extend(files.into_iter().map(|file| warning(stage, base, file)));
+            found.extend(files.into_iter().filter_map(|file| warning(stage, base, file)));
         }
     }
     found
@@ -57,28 +57,35 @@ fn is_file(base: &Path, word: &str) -> bool {
     path.starts_with(base) && matches!(fsx::entry(&path), Ok(Some(Entry::File(_))))
 }
 
-fn warning(stage: &StageInstance, base: &Path, file: &str) -> Warning {
+/// `None` for an input that the command names by its absolute path: that works, and an edit runs the stage again.
+fn warning(stage: &StageInstance, base: &Path, file: &str) -> Option<Warning> {
     let port = stage.inputs.iter().find(|wire| {
-        let is_it = |from: &Origin| matches!(from, Origin::File { path, .. } if path == file);
+        let is_it =
+            |from: &Origin| matches!(from, Origin::File { path, .. } if base.join(path) == base.join(file));
         wire.sources.iter().any(|source| is_it(&source.from))
     });
+    if port.is_some() && Path::new(file).is_absolute() {
+        return None;
+    }
     let name = port.map_or_else(|| identifier(file), |wire| wire.port.to_owned());
     let effect = match Path::new(file).is_absolute() {
         true => "an edit of it does not run the stage again",
         false => "the stage runs in another folder and does not find it",
     };
     let (what, declare) = match port {
-        Some(_) => (format!("is its input `{name}`, but is named by its own path"), String::new()),
+        Some(_) => {
+            (format!("is its input `{name}`, but the command names it by its own path"), String::new())
+        }
         None => {
             let short = Path::new(file).strip_prefix(base).unwrap_or(Path::new(file)).display();
             let declare = format!("declare `inputs: {{ {name}: {{ file: {short} }} }}` and ");
             ("is not one of its inputs".to_owned(), declare)
         }
     };
-    Warning {
+    Some(Warning {
         message: format!("stage `{}`: `{file}` {what}: {effect}", stage.name),
         hint: format!("{declare}write `{{inputs.{name}}}` in the command"),
-    }
+    })
 }
 
 /// A name for an input, from that of the file.

@@ -7,6 +7,7 @@ use serde_json::{Map, Value, json};
 
 use super::Session;
 use super::source::Texts;
+use crate::fsx;
 
 /// The fields of the manifest.
 pub(super) fn about(session: &Session<'_>, texts: &Texts) -> Map<String, Value> {
@@ -29,7 +30,7 @@ fn side_by_side(file: &Path, texts: &Texts) -> (String, Map<String, Value>) {
     let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let up = texts.parts.keys().filter_map(|path| levels_up(path)).max().unwrap_or_default();
     // As many folders above the file as are needed, by their names.
-    let folder = std::path::absolute(file).unwrap_or_else(|_| file.to_owned());
+    let folder = fsx::absolute(file);
     let folder =
         folder.parent().map(|folder| inside(&[], &folder.to_string_lossy(), true)).unwrap_or_default();
     let folder = folder.unwrap_or_default();

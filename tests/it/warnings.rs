@@ -126,7 +126,8 @@ fn a_file_beside_the_pipeline_that_a_command_names_and_does_not_declare_is_named
              a: {{ kind: command, with: {{ run: [python3, my-script.py, \"{{outputs.o}}\"], outputs: {{ o: o.txt }} }} }}\n  \
              b: {{ kind: command, with: {{ shell: \"python3 '{absolute}' > {{outputs.o}}\", outputs: {{ o: o.txt }} }} }}\n  \
              c: {{ kind: command, with: {{ shell: \"python3 main.py --x=1; cp {{inputs.s}} o.txt\", inputs: {{ m: main.py }}, outputs: {{ o: o.txt }} }}, inputs: {{ s: {{ file: abs.py }}, m: {{ file: main.py }} }} }}\n  \
-             d: {{ kind: command, with: {{ shell: \"python3 main.py; cat {{inputs.m}}\", outputs: {{ o: o.txt }} }}, inputs: {{ m: {{ file: main.py }} }} }}\n"
+             d: {{ kind: command, with: {{ shell: \"python3 main.py; cat {{inputs.m}}\", outputs: {{ o: o.txt }} }}, inputs: {{ m: {{ file: main.py }} }} }}\n  \
+             e: {{ kind: command, with: {{ shell: \"cat {absolute} {{inputs.s}} > {{outputs.o}}\", outputs: {{ o: o.txt }} }}, inputs: {{ s: {{ file: abs.py }} }} }}\n"
         ),
     );
     for file in ["my-script.py", "abs.py", "main.py", "o.txt"] {
@@ -137,7 +138,7 @@ fn a_file_beside_the_pipeline_that_a_command_names_and_does_not_declare_is_named
          = hint: declare `inputs: {{ my_script: {{ file: my-script.py }} }}` and write `{{inputs.my_script}}` in the command\n\
          warning: stage `b`: `{absolute}` is not one of its inputs: an edit of it does not run the stage again\n  \
          = hint: declare `inputs: {{ abs: {{ file: abs.py }} }}` and write `{{inputs.abs}}` in the command\n\
-         warning: stage `d`: `main.py` is its input `m`, but is named by its own path: the stage runs in another folder and does not find it\n  \
+         warning: stage `d`: `main.py` is its input `m`, but the command names it by its own path: the stage runs in another folder and does not find it\n  \
          = hint: write `{{inputs.m}}` in the command\n"
     );
     let plan = sealed.run("plan p.yaml");
