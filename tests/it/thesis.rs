@@ -3,6 +3,8 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use dril_envs::DEMONSTRATIONS;
+use dril_kinds::artifacts::POLICY;
 use dril_pipe::plan::{KeyInput, KeyInputs, warnings};
 use dril_pipe::resolve::{Choices, Graph, Origin, Source, resolve};
 use dril_pipe::spec::{SourceName, Spec, parse, parse_with};
@@ -10,6 +12,7 @@ use dril_pipe::store::{Digest, Key};
 use dril_stage_api::{Kind, Registry};
 
 fn registry() -> Registry {
+    dril_stage_api::artifact::register(&[POLICY, DEMONSTRATIONS]).unwrap();
     let engine = &dril_pipe::kinds::KINDS[..];
     let kinds: Vec<Kind> = [engine, &dril_kinds::KINDS, &dril_envs::KINDS, &dril_report::KINDS].concat();
     Registry::new(kinds).unwrap()
@@ -123,6 +126,26 @@ fn the_annexs_experts_are_those_of_the_thesis() {
     let (annex, thesis) = (graph_of("expert.yaml", "annex", &[]), graph("thesis", &[]));
     assert_eq!(experts(&annex).len(), 10);
     assert_eq!(experts(&annex), experts(&thesis));
+}
+
+#[test]
+fn the_control_trains_as_the_thesis_does_except_for_the_reward() {
+    let training = |graph: &Graph, id: &str| {
+        let stage = graph.stages.node_weights().find(|stage| &*stage.id == id);
+        let stage = stage.unwrap_or_else(|| panic!("no {id}"));
+        (stage.seed, stage.params.clone())
+    };
+    let control = graph_of("constant_reward.yaml", "desk", &[]);
+    for (label, reward) in [("ensemble", "plus-minus-one"), ("constant", "constant")] {
+        let thesis = graph("desk", &[&format!("dril.reward={reward}")]);
+        for cell in [
+            "expert=bounded, policy=gaussian, demonstrations=1",
+            "expert=clipped, policy=gaussian, demonstrations=20",
+        ] {
+            let here = format!("dril-by-reward[{cell}, reward={label}, training=1]");
+            assert_eq!(training(&control, &here), training(&thesis, &format!("dril[{cell}]")), "{here}");
+        }
+    }
 }
 
 #[test]
