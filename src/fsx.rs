@@ -15,6 +15,7 @@ mod links;
 mod lock;
 mod remove;
 mod tail;
+mod writable;
 
 pub use std::fs::File;
 use std::fs::{OpenOptions, Permissions};
@@ -37,6 +38,7 @@ pub use lock::{Lock, announced};
 pub use remove::remove_dir_all;
 pub use tail::{each_line, tail};
 
+pub use writable::{can_be_folder, can_be_written};
 /// An operation failed: what was tried on which path, and the system's error.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot {action} `{path}`: {source}", path = path.display())]

@@ -37,6 +37,8 @@ pub(super) struct Locking {
     old: Option<LockFile>,
     must_match: bool,
     write: bool,
+    /// `--lock`: it will be written. Otherwise only where a result differs.
+    is_asked_for: bool,
 }
 
 impl Locking {
@@ -54,7 +56,7 @@ impl Locking {
         }
         let unchanged = source.choices.set.is_empty();
         let write = mode == LockMode::Write || mode == LockMode::Update && old.is_some() && unchanged;
-        Ok(Self { path, old, must_match, write })
+        Ok(Self { path, old, must_match, write, is_asked_for: mode == LockMode::Write })
     }
 
     /// Fails where the plan already differs from a lock file that must match.
@@ -63,6 +65,18 @@ impl Locking {
             Some(found) if !found.is_empty() => Err(lockfile::differs(&self.path, found)),
             _ => Ok(()),
         }
+    }
+
+    /// Fails where a run that executes something will have to write the lock file and cannot.
+    pub fn check_place(&self, will_run: bool) -> Result<(), Error> {
+        let folder = self.path.parent().filter(|_| self.is_asked_for && will_run);
+        folder.map_or(Ok(()), fsx::can_be_written).map_err(|error| {
+            Error::new(
+                ErrorKind::Io,
+                format!("cannot write the lock file `{}`: {error}", self.path.display()),
+            )
+            .hint("nothing was run; make the folder of the pipeline file writable, or run without `--lock`")
+        })
     }
 
     /// Compares the results with the lock file, or writes them to it. Returns how many lines changed, if any.

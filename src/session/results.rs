@@ -69,8 +69,12 @@ pub(super) fn publish<'a>(
     store: &Store,
     outputs: impl Fn(crate::resolve::StageIndex) -> Option<&'a Outputs>,
 ) -> Result<Option<Published>, Error> {
-    let old = read_manifest(folder)?;
     let wanted = wanted(graph, outputs);
+    // Without results, it does not matter what is there.
+    let old = match read_manifest(folder) {
+        Err(_) if wanted.is_empty() => Manifest::default(),
+        old => old?,
+    };
     if wanted.values().all(|(_, stored)| stored.is_none()) && old.files.is_empty() {
         return Ok(None);
     }
@@ -112,7 +116,7 @@ pub(super) fn publish<'a>(
 /// # Errors
 /// The folder belongs to another pipeline file.
 pub(super) fn check_owner(folder: &Path, file: &Path, graph: &Graph) -> Result<(), Error> {
-    // An unreadable folder is reported when results are copied: it is no reason not to run.
+    // An unreadable folder is reported by `check_place`.
     let manifest = read_manifest(folder).unwrap_or_default();
     let Some(other) =
         manifest.source.filter(|_| !manifest.files.is_empty()).map(|source| folder.join(source))
@@ -144,6 +148,46 @@ pub(super) fn check_owner(folder: &Path, file: &Path, graph: &Graph) -> Result<(
             file.display()
         ))
         .hint("or remove that folder if you do not need the other results"))
+}
+
+/// Refuses a folder that results cannot be copied to, and creates nothing. `will_write` is true where something will run: then the
+/// folder must be writable. Where nothing runs, all results may be in place.
+///
+/// # Errors
+/// Something is in the way, or the folder cannot be written.
+pub(super) fn check_place(folder: &Path, graph: &Graph, will_write: bool) -> Result<(), Error> {
+    let names = file_names(graph);
+    if names.is_empty() {
+        return Ok(());
+    }
+    let place = if will_write { fsx::can_be_written(folder) } else { fsx::can_be_folder(folder) };
+    let (mut problems, mut remedy) = (Vec::new(), "move what is in the way");
+    match place {
+        Err(error) if error.source.kind() != std::io::ErrorKind::NotADirectory => {
+            remedy = "make it writable";
+            problems.push(error.to_string());
+        }
+        Err(error) if error.path == folder => problems.push(error.source.to_string()),
+        Err(error) => {
+            let what = error.source.to_string();
+            let what = what.strip_prefix("it ").unwrap_or(&what);
+            problems.push(format!("`{}` {what}", error.path.display()));
+        }
+        Ok(()) => {
+            for name in names.values().map(String::as_str).chain([MANIFEST]) {
+                let path = folder.join(name);
+                if fsx::entry(&path)? == Some(fsx::Entry::Folder) {
+                    problems.push(format!("`{}` is a folder, expected a file", path.display()));
+                }
+            }
+        }
+    }
+    if problems.is_empty() {
+        return Ok(());
+    }
+    let text = format!("cannot write to the results folder `{}`: {}", folder.display(), problems.join("; "));
+    Err(Error::new(ErrorKind::Io, text)
+        .hint(format!("nothing was run; {remedy}, or choose another folder with `--out DIR`")))
 }
 
 /// The path of the pipeline file relative to the results folder; `None` where one of them cannot be found.

@@ -113,7 +113,8 @@ impl<'s> Loaded<'s> {
         PipelineSource::check_only(&self.selected, plan)
     }
 
-    /// Checks everything that can fail before anything runs: the lock file and the owner of the results folder.
+    /// Checks everything that can fail before anything runs: the lock file, the owner of the results folder, and whether both can be
+    /// written. Creates nothing.
     ///
     /// # Errors
     /// The plan differs from a lock file that must match, or the results folder belongs to another pipeline file.
@@ -143,6 +144,10 @@ impl Prepared<'_> {
     /// The plan.
     pub fn plan(&self) -> &Plan<'_> {
         &self.plan
+        let counts = plan.counts();
+        let will_run = counts.run + counts.depends > 0;
+        results::check_place(&folder, graph, will_run)?;
+        lock.check_place(will_run)?;
     }
 
     /// The results folder.

@@ -114,17 +114,104 @@ fn an_unreadable_manifest_of_results_is_written_again() {
 
 #[test]
 fn if_results_cannot_be_copied_the_run_still_reports_what_it_did() {
-    let sealed = Sealed::with(TWO);
-    sealed.write("taken", "a file");
+    let sealed = Sealed::new();
+    let taken = sealed.path("taken").display().to_string();
+    let shell = format!("echo 1 > {{outputs.t}}; echo a file > {taken}");
+    sealed.write(
+        "p.yaml",
+        &format!("name: two\nstages:\n  t: {{ kind: command, with: {{ shell: '{shell}', outputs: {{ t: {{ type: table, path: t.csv }} }} }} }}\n"),
+    );
     let ended = sealed.run("run p.yaml --out taken/folder");
     assert_eq!(ended.code, 4, "{ended:?}");
-    assert!(ended.stdout.contains("done: 3 ran, in "), "{}", ended.stdout);
+    assert!(ended.stdout.contains("done: 1 ran, in "), "{}", ended.stdout);
     assert!(ended.stderr.starts_with("error: cannot ") && ended.stderr.contains("taken"), "{}", ended.stderr);
-    let events = sealed.events("--out taken/folder");
+    std::fs::remove_file(sealed.path("taken")).unwrap();
+    let events = sealed.events("--out taken/folder --force t");
     let last = events.last().unwrap();
     assert_eq!((&last["event"], &last["exit_code"]), (&"ended".into(), &4.into()));
     assert!(last["error"].as_str().unwrap().contains("taken"), "{last}");
     assert!(sealed.run_ok("run p.yaml").contains("0 stages executed"), "the work is in the store");
+}
+
+#[test]
+fn a_results_folder_that_cannot_be_written_is_an_error_before_anything_runs() {
+    let sealed = Sealed::with(TWO);
+    sealed.write("taken", "a file");
+    std::os::unix::fs::symlink("nowhere", sealed.path("loose")).unwrap();
+    std::fs::create_dir_all(sealed.path("there/first.md")).unwrap();
+    for (out, seen) in [
+        ("taken", "cannot write to the results folder `taken`: it is a file, expected a folder\n"),
+        (
+            "taken/a/b",
+            "cannot write to the results folder `taken/a/b`: `taken` is a file, expected a folder\n",
+        ),
+        ("loose/a", "cannot write to the results folder `loose/a`: `loose` is a link that leads nowhere\n"),
+        (
+            "there",
+            "cannot write to the results folder `there`: `there/first.md` is a folder, expected a file\n",
+        ),
+        ("/proc/dril/a", "cannot write to the results folder `/proc/dril/a`: cannot write in `/proc`: "),
+    ] {
+        let ended = sealed.run(&format!("run p.yaml --out {out}"));
+        assert_eq!(ended.code, 4, "{out}: {ended:?}");
+        assert!(ended.stderr.starts_with(&format!("error: {seen}")), "{out}: {}", ended.stderr);
+        assert!(ended.stderr.contains("hint: nothing was run; ") && ended.stderr.contains("`--out DIR`"));
+        assert_eq!(sealed.list("cache/runs-v1"), [""; 0], "{out}: a stage ran");
+        let events = sealed.events(&format!("--out {out}"));
+        assert_eq!(events.len(), 1, "{out}: {events:?}");
+        assert_eq!((&events[0]["event"], &events[0]["exit_code"]), (&"error".into(), &4.into()));
+    }
+    sealed.write("results", "a file");
+    let ended = sealed.run("run p.yaml");
+    assert!(ended.code == 4 && ended.stderr.contains("`results` is a file, expected a folder"), "{ended:?}");
+    // Without results, nothing has to be written.
+    sealed.write("p.yaml", "name: two\nstages:\n  a: { kind: emit, with: { text: a } }\n");
+    sealed.run_ok("run p.yaml");
+}
+
+#[test]
+fn a_results_folder_or_a_lock_file_without_permission_is_an_error_before_anything_runs() {
+    let sealed = Sealed::with(TWO);
+    sealed.write("closed/p.yaml", TWO);
+    let Some(ended) = crate::rough::as_user(&sealed, "chmod a-w closed", "run p.yaml --out closed/a") else {
+        return;
+    };
+    let expected =
+        "error: cannot write to the results folder `closed/a`: cannot write in `closed`: Permission denied";
+    assert!(ended.code == 4 && ended.stderr.starts_with(expected), "{ended:?}");
+    let ended = crate::rough::as_user(&sealed, ":", "run closed/p.yaml --lock").unwrap();
+    let expected =
+        "error: cannot write the lock file `closed/p.lock`: cannot write in `closed`: Permission denied";
+    assert!(ended.code == 4 && ended.stderr.starts_with(expected), "{ended:?}");
+    assert_eq!(sealed.list("cache/runs-v1"), [""; 0]);
+    // An existing lock file is only written where a result differs.
+    assert_eq!(crate::rough::as_user(&sealed, ":", "run closed/p.yaml").unwrap().code, 0);
+    let whole = crate::rough::as_user(&sealed, "chmod a-w results/*", "run closed/p.yaml").unwrap();
+    assert_eq!(whole.code, 0, "what is in place need not be written: {whole:?}");
+}
+
+#[test]
+fn no_results_folder_is_made_before_there_are_results() {
+    let sealed = Sealed::with(TWO);
+    let is_there = || sealed.path("results").exists() || sealed.path("out").exists();
+    for args in
+        ["plan p.yaml", "run p.yaml --dry-run", "run p.yaml --dry-run --out out/a", "run p.yaml nobody"]
+    {
+        sealed.run(args);
+        assert!(!is_there(), "{args}");
+    }
+    for pipeline in [
+        TWO.replace("text: ", "txt: "),
+        "name: two\nstages:\n  a: { kind: count, with: { mishap: fail } }\n  first: { kind: concat, inputs: { parts: a.count } }\n".to_owned(),
+        "name: two\nstages:\n  first: { kind: concat, inputs: { parts: { file: missing.txt } } }\n".to_owned(),
+        TWO.to_owned() + "  b: { kind: elsewhere }\n",
+    ] {
+        sealed.write("p.yaml", &pipeline);
+        for args in ["run p.yaml", "run p.yaml --out out/a"] {
+            assert_ne!(sealed.run(args).code, 0, "{pipeline}");
+            assert!(!is_there(), "{args}: {pipeline}");
+        }
+    }
 }
 
 /// A command `t` with these outputs, each a table that contains its own name.

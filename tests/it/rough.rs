@@ -14,7 +14,7 @@ fn with(shell: &str, more: &str) -> Sealed {
 }
 
 /// The program with these arguments, started by a shell that first does something, and as a user whom permissions bind.
-fn as_user(sealed: &Sealed, first: &str, args: &str) -> Option<Ended> {
+pub fn as_user(sealed: &Sealed, first: &str, args: &str) -> Option<Ended> {
     let mut line = String::new();
     if rustix::process::geteuid().is_root() {
         Command::new("setpriv").arg("--version").output().ok()?;
