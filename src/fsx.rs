@@ -32,13 +32,14 @@ pub use folder::{
 };
 pub use lease_file::RUN as RUN_PATIENCE;
 pub use links::{
-    TemporaryLink, be_a_file, link_target, link_tree, real, symlink, symlink_into, temporary_link,
+    TemporaryLink, be_a_file, link_target, link_tree, real, remove_dead_links, symlink, symlink_into,
+    temporary_link,
 };
 pub use lock::{Lock, announced};
 pub use remove::remove_dir_all;
 pub use tail::{each_line, tail};
-
 pub use writable::{can_be_folder, can_be_written};
+
 /// An operation failed: what was tried on which path, and the system's error.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot {action} `{path}`: {source}", path = path.display())]

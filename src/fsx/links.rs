@@ -82,30 +82,77 @@ const TEMPORARY: &str = "dril-";
 const LONGEST: usize = 32;
 
 /// Makes a short path to the absolute path `to`: a link with a name of its own in the folder for temporary files. The first call
-/// removes those that dead processes left, whose folders are gone. `None` where no link can be made.
+/// removes those of dead processes, since on a node of a cluster nothing else does. `None` where no link can be made.
 pub fn temporary_link(to: &Path) -> Option<TemporaryLink> {
     static ONCE: Once = Once::new();
-    let usual = std::env::temp_dir();
-    let short = usual.is_absolute() && usual.as_os_str().len() <= LONGEST;
-    let folder = if short { usual } else { PathBuf::from("/tmp") };
-    ONCE.call_once(|| remove_dead_links(&folder));
+    ONCE.call_once(remove_dead_links);
     let prefix = format!("{TEMPORARY}{}-", std::process::id());
     let make = |at: &Path| std::os::unix::fs::symlink(to, at);
-    let made = tempfile::Builder::new().prefix(&prefix).make_in(&folder, make).ok()?;
+    let made = tempfile::Builder::new().prefix(&prefix).make_in(links_folder(), make).ok()?;
     Some(TemporaryLink(made.into_temp_path()))
 }
 
-/// Removes this user's links whose process is dead and whose folder is gone.
-fn remove_dead_links(folder: &Path) {
+/// The folder of temporary links.
+fn links_folder() -> PathBuf {
+    let usual = std::env::temp_dir();
+    let short = usual.is_absolute() && usual.as_os_str().len() <= LONGEST;
+    if short { usual } else { PathBuf::from("/tmp") }
+}
+
+/// Removes this user's temporary links whose process is dead and whose folder is gone. A dying stage may still use the folder, and
+/// a process of a container that shares only `/tmp` looks dead. What cannot be removed stays.
+pub fn remove_dead_links() {
+    remove_dead_links_in(&links_folder());
+}
+
+fn remove_dead_links_in(folder: &Path) {
     let own = geteuid().as_raw();
     for path in super::list(folder).unwrap_or_default() {
         let name = path.file_name().and_then(|name| name.to_str()?.strip_prefix(TEMPORARY));
-        let owner = name.and_then(|name| Pid::from_raw(name.split('-').next()?.parse().ok()?));
+        let owner = name.and_then(|name| name.split('-').next()?.parse().ok());
         let Some(owner) = owner else { continue };
         let is_own = path.symlink_metadata().is_ok_and(|meta| meta.is_symlink() && meta.uid() == own);
         let is_gone = || std::fs::metadata(&path).is_err_and(|error| error.kind() == ErrorKind::NotFound);
-        if is_own && test_kill_process(owner) == Err(rustix::io::Errno::SRCH) && is_gone() {
+        if is_own && is_gone() && is_dead(owner) {
             let _ = super::remove_file(&path);
         }
+    }
+}
+
+/// True where that process is dead. This one counts as dead, too: its own links lead to folders that exist, and in a container a
+/// new engine often has the number of the one before.
+fn is_dead(process: i32) -> bool {
+    let Some(pid) = Pid::from_raw(process) else { return false };
+    u32::try_from(process) == Ok(std::process::id()) || test_kill_process(pid) == Err(rustix::io::Errno::SRCH)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_links_of_dead_processes_to_folders_that_are_gone_are_removed() {
+        let folder = tempfile::tempdir().unwrap();
+        let here = folder.path();
+        let ended = std::process::Command::new("true").spawn().and_then(|mut child| {
+            let id = child.id();
+            child.wait().map(|_| id)
+        });
+        let (dead, own, parent) = (ended.unwrap(), std::process::id(), std::os::unix::process::parent_id());
+        let make = |name: &str, to: &str| symlink(&here.join(to), &here.join(name)).unwrap();
+        std::fs::create_dir(here.join("work")).unwrap();
+        for (owner, kept) in [(dead, "dead"), (own, "own"), (parent, "living")] {
+            make(&format!("dril-{owner}-{kept}-there"), "work");
+            make(&format!("dril-{owner}-{kept}-gone"), "nowhere");
+        }
+        make(&format!("other-{dead}-gone"), "nowhere");
+        make("dril-x", "nowhere");
+        std::fs::write(here.join(format!("dril-{dead}-a-file")), "").unwrap();
+        remove_dead_links_in(here);
+        let names = super::super::list(here).unwrap();
+        let names: Vec<_> = names.iter().filter_map(|path| path.file_name()?.to_str()).collect();
+        let count = |part: &str| names.iter().filter(|name| name.ends_with(part)).count();
+        assert_eq!((count("dead-gone"), count("own-gone"), count("living-gone")), (0, 0, 1), "{names:?}");
+        assert_eq!((count("-there"), count("-a-file"), names.len()), (3, 1, 8), "{names:?}");
     }
 }

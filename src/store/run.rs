@@ -112,9 +112,16 @@ fn lock_path(temporary: &Path) -> PathBuf {
     path.into()
 }
 
-/// Removes private folders of dead runs, and returns what went wrong. This can fail for another user's folder, or while a dying
+/// Removes private folders of dead runs and the short links to them, and returns what went wrong. This can fail for another user's folder, or while a dying
 /// stage still writes; the next run tries again. The caller has the gate.
 pub(super) fn remove_dead(tmp: &Path) -> Vec<FsError> {
+    let failed = remove_dead_folders(tmp);
+    // Those of stages lead to what was just removed.
+    fsx::remove_dead_links();
+    failed
+}
+
+fn remove_dead_folders(tmp: &Path) -> Vec<FsError> {
     let mut failed = Vec::new();
     let Ok(entries) = fsx::list(tmp) else { return failed };
     let owner = |path: &Path| path.file_name()?.to_str()?.split('.').next().map(str::to_owned);

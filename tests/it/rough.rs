@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
-use crate::sealed::{Ended, Sealed, ended, signal};
+use crate::sealed::{Ended, Sealed, ended, signal, until};
 
 /// A command of one stage.
 fn with(shell: &str, more: &str) -> Sealed {
@@ -95,6 +95,34 @@ fn a_folder_that_its_program_left_without_permissions_or_very_deep_is_removed() 
         let Some(ended) = as_user(&sealed, ":", "run p.yaml") else { return };
         assert_eq!(ended.code, 0, "{leave}: {ended:?}");
         assert_eq!(sealed.list("cache/tmp"), ["gate"], "{leave}");
+    }
+}
+
+#[test]
+fn the_links_of_a_killed_engine_are_removed_by_the_next_run_and_by_gc_and_those_of_others_stay() {
+    let sealed = with(": > {checkpoints}/began; sleep 60; : > {outputs.t}", "");
+    sealed.write("q.yaml", "name: q\nstages:\n  a: { kind: emit, with: { text: a } }\n");
+    let start = || {
+        let child =
+            sealed.command("run p.yaml").env("PATH", "/usr/bin:/bin").stdout(Stdio::null()).spawn().unwrap();
+        until("it has a link", || !links(&sealed).is_empty());
+        child
+    };
+    let end = |mut child: std::process::Child| {
+        signal(&child, "KILL");
+        child.wait().unwrap();
+        assert_eq!(links(&sealed).len(), 1, "a killed engine leaves its link");
+    };
+    for next in ["run q.yaml", "cache gc"] {
+        let living = start();
+        sealed.run_ok(next);
+        assert_eq!(links(&sealed).len(), 1, "{next}: the link of a living engine is gone");
+        end(living);
+        // The link is kept as long as a dying stage may use it.
+        until("the link is gone", || {
+            sealed.run_ok(&format!("{next}{}", if next == "run q.yaml" { " --force a" } else { "" }));
+            links(&sealed).is_empty()
+        });
     }
 }
 
