@@ -7,7 +7,6 @@ use super::terminal::print_error;
 use crate::error::{Error, ErrorKind};
 use crate::exec::Units;
 use crate::fsx;
-use crate::resolve::Graph;
 use crate::spec::limits::MOST_OF_ONE;
 use crate::spec::suggest;
 
@@ -53,11 +52,9 @@ fn units_with(given: &[(String, u32)], visible: Option<&str>, cards: usize) -> R
 }
 
 /// Warns of resources that are given and that no stage uses: usually a misspelt name, and the stages wait for one unit.
-pub(super) fn warn_of_unused(given: &[(String, u32)], graph: &Graph) {
-    let known: BTreeSet<&str> =
-        graph.stages.node_weights().flat_map(|stage| stage.resources.keys().map(String::as_str)).collect();
-    for (name, count) in given.iter().filter(|(name, _)| !known.contains(name.as_str())) {
-        let hint = suggest::hint(name, "the resources of the stages", known.iter().copied());
+pub(super) fn warn_of_unused(given: &[(String, u32)], known: &BTreeSet<String>) {
+    for (name, count) in given.iter().filter(|(name, _)| !known.contains(name)) {
+        let hint = suggest::hint(name, "the resources of the stages", known.iter().map(String::as_str));
         print_error(&format!(
             "warning: `--resources {name}={count}`: no stage uses this resource\n  = hint: {hint}\n"
         ));

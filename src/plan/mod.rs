@@ -29,6 +29,7 @@ pub use order::Order;
 pub(crate) use order::feeding;
 pub use outside::{OutsideFile, inside};
 use serde::Serialize;
+pub(crate) use undeclared::{is_file, named_files};
 pub use warning::Warning;
 pub use warnings::warnings;
 

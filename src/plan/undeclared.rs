@@ -1,8 +1,8 @@
 //! Files beside the pipeline file that a command names, but does not declare. A stage runs in a folder of its own, so a relative
 //! name leads nowhere there; an absolute one works, but an edit of the file runs nothing again.
 
-use std::collections::BTreeSet;
-use std::path::Path;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
@@ -16,16 +16,30 @@ const BETWEEN: [char; 12] = ['"', '\'', '`', ';', '|', '&', '<', '>', '(', ')', 
 /// One warning for each file and stage, of the stages for which `is_shown` is true. `base` is the folder of the pipeline file.
 pub(super) fn warnings(graph: &Graph, base: &Path, is_shown: &dyn Fn(&str) -> bool) -> Vec<Warning> {
     let base = &fsx::absolute(base);
-    let (mut known, mut found) = (BTreeSet::new(), Vec::new());
-    for stage in graph.stages.node_weights().filter(|stage| stage.kind.is_program() && is_shown(&stage.name))
-    {
-        // The instances of a stage share their command but for values of axes.
-        if known.insert(&*stage.name) {
-            let files: BTreeSet<&str> = words(stage).into_iter().filter(|word| is_file(base, word)).collect();
-            found.extend(files.into_iter().filter_map(|file| warning(stage, base, file)));
-        }
+    let mut found = Vec::new();
+    for stage in programs(graph).filter(|stage| is_shown(&stage.name)) {
+        let named = words(stage).into_iter();
+        let files: BTreeSet<&str> =
+            named.filter(|word| beside(base, word).is_some_and(|path| is_file(&path))).collect();
+        found.extend(files.into_iter().filter_map(|file| warning(stage, base, file)));
     }
     found
+}
+
+/// The paths beside the pipeline file that commands may mean, and whether there is a file: what the warnings depend on beside the
+/// graph.
+pub fn named_files(graph: &Graph, base: &Path) -> BTreeMap<PathBuf, bool> {
+    let base = &fsx::absolute(base);
+    let paths =
+        programs(graph).flat_map(|stage| words(stage).into_iter().filter_map(|word| beside(base, word)));
+    paths.map(|path| (path.clone(), is_file(&path))).collect()
+}
+
+/// The stages that run programs, with one instance each: instances share their command but for values of axes.
+fn programs(graph: &Graph) -> impl Iterator<Item = &StageInstance> {
+    let mut known = BTreeSet::new();
+    let programs = graph.stages.node_weights().filter(|stage| stage.kind.is_program());
+    programs.filter(move |stage| known.insert(&*stage.name))
 }
 
 /// The words in the command line of a stage, a text or list, that look like the name of a file. Maps declare: the path of an
@@ -51,10 +65,14 @@ fn texts<'v>(value: &'v Value, found: &mut Vec<&'v str>) {
     }
 }
 
-/// True for a file beside the pipeline file or below it; programs elsewhere are part of the machine.
-fn is_file(base: &Path, word: &str) -> bool {
-    let path = base.join(word);
-    path.starts_with(base) && matches!(fsx::entry(&path), Ok(Some(Entry::File(_))))
+/// The path of a word, beside the pipeline file or below it; programs elsewhere are part of the machine.
+fn beside(base: &Path, word: &str) -> Option<PathBuf> {
+    Some(base.join(word)).filter(|path| path.starts_with(base))
+}
+
+/// True where there is a file.
+pub fn is_file(path: &Path) -> bool {
+    matches!(fsx::entry(path), Ok(Some(Entry::File(_))))
 }
 
 /// `None` for an input that the command names by its absolute path: that works, and an edit runs the stage again.

@@ -1,11 +1,13 @@
 //! Runs a pipeline from Rust: everything that `dril-pipe run` does, without printing.
 //!
 //! [`Session`] is the entry point. `source` reads pipeline files, `run` has the steps of a run, `about` what its manifest says,
-//! `lockfile` and `locking` the lock file, `results` the results folder, and `unchanged` recognises a run with nothing to do.
+//! `lockfile` and `locking` the lock file, `results` the results folder, `noticed` the warnings, and `unchanged` recognises a run with
+//! nothing to do.
 
 mod about;
 mod lockfile;
 mod locking;
+mod noticed;
 mod program;
 mod results;
 mod run;

@@ -1,18 +1,21 @@
 //! The steps of a run: load, plan, prepare, execute. Each step is a value that only the step before can make.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use super::Session;
 use super::about::about;
 use super::locking::{Locking, Rewritten};
+use super::noticed::Noticed;
 use super::results::{self, Published};
 use super::source::{PipelineSource, Reading};
-use super::unchanged::{self, RunFingerprint};
+use super::unchanged::{self, Known, RunFingerprint};
 use crate::error::Error;
 use crate::exec::{self, Event, Executed, Options, Runner};
-use crate::plan::{self, Estimates, Plan, Verdict};
+use crate::plan::{self, Estimates, Plan, Verdict, Warning};
 use crate::resolve::{Graph, Selected, StageIndex};
 use crate::store::{Outputs, Store};
 
@@ -22,6 +25,7 @@ pub struct Loaded<'s> {
     selected: Selected,
     reading: Reading<'s>,
     fingerprint: Option<RunFingerprint>,
+    noticed: OnceLock<Noticed>,
 }
 
 /// A plan whose preconditions hold: nothing prevents its execution.
@@ -69,7 +73,7 @@ impl<'s> Loaded<'s> {
         let selected = session.source.select(&session.selection, session.registry, &mut reading)?;
         // Valid only for a file that did not change while it was read.
         let fingerprint = fingerprint.filter(|before| session.fingerprint().as_ref() == Some(before));
-        Ok(Self { session, selected, reading, fingerprint })
+        Ok(Self { session, selected, reading, fingerprint, noticed: OnceLock::new() })
     }
 
     /// The graph of the selected stages.
@@ -85,6 +89,20 @@ impl<'s> Loaded<'s> {
     /// The folder of the pipeline file, which relative paths in it start from.
     pub fn base(&self) -> PathBuf {
         self.session.source.base()
+    }
+
+    /// What is probably not meant about the selected stages, although they can run.
+    pub fn warnings(&self) -> &[Warning] {
+        &self.noticed().warnings
+    }
+
+    /// The resources that stages of the whole pipeline ask for.
+    pub fn resources(&self) -> &BTreeSet<String> {
+        &self.noticed().resources
+    }
+
+    fn noticed(&self) -> &Noticed {
+        self.noticed.get_or_init(|| Noticed::of(self.whole_graph(), self.graph(), &self.base()))
     }
 
     /// Plans the selected stages. Reads the store and changes nothing.
@@ -117,7 +135,8 @@ impl<'s> Loaded<'s> {
     /// written. Creates nothing.
     ///
     /// # Errors
-    /// The plan differs from a lock file that must match, or the results folder belongs to another pipeline file.
+    /// The plan differs from a lock file that must match, the results folder belongs to another pipeline file, or something that the
+    /// run will write cannot be written.
     pub fn prepare<'l>(&'l self, plan: Plan<'l>) -> Result<Prepared<'l>, Error> {
         let session = self.session;
         let lock = Locking::read(&session.source, session.lock)?;
@@ -125,6 +144,10 @@ impl<'s> Loaded<'s> {
         let graph = &self.selected.graph;
         let folder = session.out.clone().unwrap_or_else(|| results::default_folder(graph));
         results::check_owner(&folder, &session.source.file, graph)?;
+        let counts = plan.counts();
+        let will_run = counts.run + counts.depends > 0;
+        results::check_place(&folder, graph, will_run)?;
+        lock.check_place(will_run)?;
         Ok(Prepared { loaded: self, plan, lock, folder })
     }
 
@@ -144,10 +167,6 @@ impl Prepared<'_> {
     /// The plan.
     pub fn plan(&self) -> &Plan<'_> {
         &self.plan
-        let counts = plan.counts();
-        let will_run = counts.run + counts.depends > 0;
-        results::check_place(&folder, graph, will_run)?;
-        lock.check_place(will_run)?;
     }
 
     /// The results folder.
@@ -166,9 +185,9 @@ impl Prepared<'_> {
         sink: &mut dyn FnMut(&Event),
     ) -> Result<Finished, Error> {
         let Self { loaded, plan, lock, folder } = self;
-        let Loaded { session, selected, reading, fingerprint } = loaded;
+        let Loaded { session, selected, reading, fingerprint, .. } = loaded;
         let Session { source, store, .. } = session;
-        let files = unchanged::files_of(&reading.parts, &plan);
+        let known = Known { files: unchanged::files_of(&reading.parts, &plan), noticed: loaded.noticed() };
         let options = Options { about: about(session, &reading.texts), ..session.options.clone() };
         let executed = std::thread::scope(|scope| {
             // In parallel: stages take their time anyway, and a run that is cut off has parsed the file, too.
@@ -188,7 +207,7 @@ impl Prepared<'_> {
         }
         let remaining = if executed.outcome.out_of_time { loaded.remaining().ok() } else { None };
         if let Some(fingerprint) = fingerprint.filter(|_| error.is_none() && executed.outcome.is_complete()) {
-            fingerprint.keep(source, &selected.graph, store, files, &executed, published.as_ref());
+            fingerprint.keep(source, &selected.graph, store, known, &executed, published.as_ref());
         }
         Ok(Finished { executed, published, error, locked, remaining, folder })
     }

@@ -3,19 +3,21 @@
 //!
 //! Whatever could make a difference and is not known to be the same leads to a normal run.
 
-use std::collections::BTreeMap;
+use std::borrow::Cow;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
 use super::locking::LockMode;
+use super::noticed::Noticed;
 use super::results::{self, Published};
 use super::source::PipelineSource;
 use super::{lockfile, program};
 use crate::error::Error;
 use crate::exec::Executed;
 use crate::fsx;
-use crate::plan::{self, Plan};
+use crate::plan::{self, Plan, Warning};
 use crate::resolve::{Graph, Selection};
 use crate::store::{CompleteRun, Digest, Store, hash_file};
 
@@ -24,7 +26,7 @@ const LARGEST: u64 = 16 << 20;
 
 /// What a complete run stores beside keys and digests.
 #[derive(Debug, Serialize, Deserialize)]
-struct Note {
+struct Note<'n> {
     pipeline: String,
     profile: String,
     /// Included files and files from outside, with their digests (see [`files_of`]).
@@ -33,6 +35,15 @@ struct Note {
     variables: BTreeMap<String, Option<Digest>>,
     results: Option<PathBuf>,
     result_files: usize,
+    noticed: Cow<'n, Noticed>,
+}
+
+/// What a run knows of its circumstances from its beginning.
+pub(super) struct Known<'l> {
+    /// Included files and files from outside as they were read: one that has changed since must not be mistaken for them.
+    pub files: BTreeMap<PathBuf, Digest>,
+    /// Its warnings.
+    pub noticed: &'l Noticed,
 }
 
 /// A run with nothing to do: everything is cached and the results are in place.
@@ -48,6 +59,10 @@ pub struct UpToDate {
     pub results: Option<PathBuf>,
     /// Number of files there.
     pub result_files: usize,
+    /// What the plan of the run would warn of.
+    pub warnings: Vec<Warning>,
+    /// The resources that stages ask for.
+    pub resources: BTreeSet<String>,
 }
 
 /// Everything that decides about a run and is known before the pipeline is read.
@@ -93,7 +108,7 @@ impl RunFingerprint {
     pub fn look_up(&self, source: &PipelineSource, store: &Store) -> Result<Option<UpToDate>, Error> {
         let _held = store.hold()?;
         let Some(complete) = store.complete_run(&self.name, &self.made_from)? else { return Ok(None) };
-        let Ok(note) = serde_json::from_slice::<Note>(&complete.note) else { return Ok(None) };
+        let Ok(note) = serde_json::from_slice::<Note<'_>>(&complete.note) else { return Ok(None) };
         if note.variables.iter().any(|(name, value)| variable(source, name) != *value) {
             return Ok(None);
         }
@@ -101,6 +116,9 @@ impl RunFingerprint {
             if hash_small(path) != Some(*digest) {
                 return Ok(None);
             }
+        }
+        if !note.noticed.still_holds() {
+            return Ok(None);
         }
         if let Some(folder) = &note.results
             && !results::are_whole(folder, note.result_files)?
@@ -111,28 +129,30 @@ impl RunFingerprint {
         // versions of this program that look only there.
         store.touch_complete_run(&self.name);
         store.touch_history(&note.pipeline, &note.profile);
-        let Note { pipeline, profile, results, result_files, .. } = note;
-        Ok(Some(UpToDate { pipeline, profile, stages: complete.stages, results, result_files }))
+        let Note { pipeline, profile, results, result_files, noticed, .. } = note;
+        let Noticed { warnings, resources, .. } = noticed.into_owned();
+        let stages = complete.stages;
+        Ok(Some(UpToDate { pipeline, profile, stages, results, result_files, warnings, resources }))
     }
 
-    /// Stores a complete run for the next one. `files` are the included files and the files from outside as they were read:
-    /// a file that has changed since must not be mistaken for them. Failing to store it is not an error.
+    /// Stores a complete run for the next one. Failing to store it is not an error.
     pub fn keep(
         &self,
         source: &PipelineSource,
         graph: &Graph,
         store: &Store,
-        files: BTreeMap<PathBuf, Digest>,
+        known: Known<'_>,
         executed: &Executed,
         published: Option<&Published>,
     ) {
         let note = Note {
             pipeline: graph.pipeline.clone(),
             profile: graph.profile.clone(),
-            files,
+            files: known.files,
             variables: variables(source, graph),
             results: published.map(|published| published.folder.clone()),
             result_files: published.map_or(0, |published| published.files),
+            noticed: Cow::Borrowed(known.noticed),
         };
         let Ok(note) = serde_json::to_vec(&note) else { return };
         let outputs = executed.outputs.iter().flatten().flat_map(|outputs| outputs.values());

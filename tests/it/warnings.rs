@@ -23,13 +23,45 @@ fn an_axis_that_a_stage_does_not_use_is_named_by_plan_and_run_whatever_is_cached
     let expected = "warning: stage `train`: `seed` changes nothing, so its 10 instances have 2 results\n  \
                     = hint: use `$seed` in its `with`, `seed` or `inputs`, as in `seed: $seed` with `{seed}` in the command, or remove it from its `matrix`\n";
     assert_eq!(sealed.run("plan p.yaml").stderr, expected);
-    for args in ["run p.yaml --dry-run", "run p.yaml all", "run p.yaml all", "run p.yaml --quiet"] {
+    for args in
+        ["run p.yaml --dry-run", "run p.yaml all", "run p.yaml all", "run p.yaml --quiet", "run p.yaml"]
+    {
         assert_eq!(sealed.run(args).stderr, expected, "{args}");
     }
     let plan: serde_json::Value = serde_json::from_str(&sealed.run_ok("plan p.yaml --json")).unwrap();
     let message = "stage `train`: `seed` changes nothing, so its 10 instances have 2 results";
     assert_eq!(plan["warnings"][0]["message"], message);
     assert_eq!(plan["warnings"].as_array().map(Vec::len), Some(1));
+}
+
+#[test]
+fn a_run_in_which_nothing_changed_repeats_the_warnings_and_notices_the_files_that_they_depend_on() {
+    let sealed = Sealed::with(
+        "name: p\nstages:\n  \
+         a: { kind: command, resources: { gpu: 1 }, with: { shell: \"echo run-it.sh settings/x.json > {outputs.o}\", outputs: { o: o } } }\n",
+    );
+    sealed.write("run-it.sh", "");
+    let expected = "warning: stage `a`: `run-it.sh` is not one of its inputs: the stage runs in another folder and does not find it\n  \
+                    = hint: declare `inputs: { run_it: { file: run-it.sh } }` and write `{inputs.run_it}` in the command\n";
+    for args in ["run p.yaml", "run p.yaml", "run p.yaml --quiet"] {
+        assert_eq!(sealed.run(args).stderr, expected, "{args}");
+    }
+    let unused = "warning: `--resources gpus=2`: no stage uses this resource\n  = hint: did you mean `gpu`? the resources of the stages are `gpu`\n";
+    assert_eq!(sealed.run("run p.yaml --resources gpus=2,gpu=1").stderr, format!("{unused}{expected}"));
+    // The short way was taken: it does not look at the history.
+    std::fs::remove_dir_all(sealed.path("cache/history-v1")).unwrap();
+    assert_eq!(sealed.run("run p.yaml").stderr, expected);
+    assert!(!sealed.path("cache/history-v1/p-default.jsonl").exists());
+    sealed.write("settings/x.json", "");
+    let both = sealed.run("run p.yaml").stderr;
+    assert!(both.contains("`run-it.sh`") && both.contains("`settings/x.json`"), "{both}");
+    assert_eq!(sealed.run("run p.yaml").stderr, both);
+    std::fs::remove_file(sealed.path("run-it.sh")).unwrap();
+    std::fs::remove_dir_all(sealed.path("settings")).unwrap();
+    for _ in 0..2 {
+        let ended = sealed.run("run p.yaml");
+        assert!(ended.stderr.is_empty() && ended.stdout.contains("nothing to do"), "{ended:?}");
+    }
 }
 
 #[test]

@@ -29,7 +29,7 @@ pub(in crate::cli) fn main(args: &PlanArgs, registry: &Registry) -> Result<ExitC
         executor::cluster(&args.executor, shared::settings(Some(&args.pipeline.file), Some(registry))?)?;
     let plan = loaded.plan()?;
     let warnings = warnings::show(&loaded);
-    print_plan(&plan, &warnings, session.store(), (args.json, args.all), cluster.as_ref())?;
+    print_plan(&plan, warnings, session.store(), (args.json, args.all), cluster.as_ref())?;
     Ok(ExitCode::SUCCESS)
 }
 

@@ -32,16 +32,14 @@ pub(in crate::cli) fn main(args: &RunArgs, registry: &Registry) -> Result<ExitCo
     if !(args.check_determinism || args.json || args.dry_run)
         && let Some(found) = session.up_to_date()?
     {
-        if !args.quiet {
-            print(&nothing_to_do(&found, began.elapsed()))?;
-        }
+        nothing_to_do(args, &found, began.elapsed())?;
         return Ok(ExitCode::SUCCESS);
     }
     let loaded = session.load()?;
-    resources::warn_of_unused(&args.resources, loaded.whole_graph());
+    resources::warn_of_unused(&args.resources, loaded.resources());
     let warnings = warnings::show(&loaded);
     if args.dry_run {
-        plan::show(&loaded.plan()?, &warnings, session.store(), args.json)?;
+        plan::show(&loaded.plan()?, warnings, session.store(), args.json)?;
         return Ok(ExitCode::SUCCESS);
     }
     let stop = signals::stop_flag()?;
@@ -120,8 +118,13 @@ fn exit_code(executed: &Executed) -> u8 {
     }
 }
 
-/// The same text as that of a planned run without work.
-fn nothing_to_do(found: &UpToDate, took: Duration) -> String {
+/// Says what a planned run without work says, with the same warnings.
+fn nothing_to_do(args: &RunArgs, found: &UpToDate, took: Duration) -> Result<(), Error> {
+    resources::warn_of_unused(&args.resources, &found.resources);
+    warnings::print(&found.warnings);
+    if args.quiet {
+        return Ok(());
+    }
     let terminal = Terminal::stdout();
     let title = terminal.paint(Style::Strong, &format!("{}, profile {}", found.pipeline, found.profile));
     let stages = usize::try_from(found.stages).unwrap_or(usize::MAX);
@@ -131,5 +134,5 @@ fn nothing_to_do(found: &UpToDate, took: Duration) -> String {
     if let Some(folder) = &found.results {
         text += &format!("results: {} ({})\n", shown(folder), count(found.result_files, "file"));
     }
-    text
+    print(&text)
 }
