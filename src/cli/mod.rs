@@ -4,6 +4,7 @@
 //! ways to show the progress of a run.
 
 mod args;
+mod change;
 mod columns;
 mod commands;
 mod executor;

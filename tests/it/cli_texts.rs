@@ -41,6 +41,59 @@ fn mistakes_on_the_command_line() {
     assert_snapshot!(mistakes.map(|args| shown(&sealed, args)).join("\n"));
 }
 
+/// Twelve instances of `say`, each read by one of `join`.
+const MANY: &str = "\
+name: many
+axes: { x: [a, b, c, d], n: [1, 2, 3] }
+params: { to: 1 }
+stages:
+  say: { kind: emit, matrix: [x, n], with: { text: \"${x} ${n} ${to}\" } }
+  join: { kind: concat, matrix: [x, n], inputs: { parts: say } }
+";
+
+#[test]
+fn a_plan_groups_instances_by_what_happens_and_why_whatever_differs_between_them() {
+    let sealed = Sealed::with(MANY);
+    sealed.run_ok("run p.yaml");
+    let plan = |args: &str| {
+        let text = sealed.run_ok(format!("plan p.yaml --set params.to=2 {args}").trim());
+        text.lines().filter(|line| line.starts_with("  ")).map(|line| format!("{line}\n")).collect::<String>()
+    };
+    // Every value is another one.
+    assert_eq!(
+        plan(""),
+        "  say × 12   run         text: \"a 1 1\" -> \"a 1 2\" (and 11 more such changes)\n  \
+           join × 12  depends on  say × 12\n"
+    );
+    let causes = sealed.run_ok("explain p.yaml --set params.to=2");
+    let cause =
+        "\n  say × 12  text: \"a 1 1\" -> \"a 1 2\" (and 11 more such changes); 12 stages downstream\n";
+    assert!(causes.contains(cause) && causes.contains("24 stages not up to date, 1 cause\n"), "{causes}");
+    // Up to four different changes are listed.
+    assert_eq!(
+        plan("--set axes.n=1"),
+        "  say[x=a, n=1]  run         text: \"a 1 1\" -> \"a 1 2\"\n  \
+           say[x=b, n=1]  run         text: \"b 1 1\" -> \"b 1 2\"\n  \
+           say[x=c, n=1]  run         text: \"c 1 1\" -> \"c 1 2\"\n  \
+           say[x=d, n=1]  run         text: \"d 1 1\" -> \"d 1 2\"\n  \
+           join × 4       depends on  say × 4\n"
+    );
+    // After a part of a run, every input is another one.
+    sealed.run_ok("run p.yaml --set params.to=2 say[x=a] say[x=b] join[x=b,n=1]");
+    assert_eq!(
+        plan(""),
+        "  say × 6   run         text: \"c 1 1\" -> \"c 1 2\" (and 5 more such changes)\n  \
+           join × 5  run         input `parts` differs (say.text)\n  \
+           join × 6  depends on  say × 6\n"
+    );
+    let all = plan("--all");
+    assert!(
+        all.contains("  join[x=a, n=2]  run         input `parts` differs (say[x=a, n=2].text)\n"),
+        "{all}"
+    );
+    assert_eq!(all.lines().count(), 24);
+}
+
 #[test]
 fn plans_before_and_after_a_run() {
     let sealed = Sealed::with(WORDS);

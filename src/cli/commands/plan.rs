@@ -1,5 +1,7 @@
 //! `dril-pipe plan`: what would run, and why. Changes nothing.
 
+mod rows;
+
 use std::process::ExitCode;
 
 use dril_stage_api::Registry;
@@ -17,9 +19,6 @@ use crate::plan::{self, Counts, Estimates, Plan, Verdict, Warning};
 use crate::resolve::StageIndex;
 use crate::session;
 use crate::store::Store;
-
-/// The number of groups that are listed after "depends on".
-const MAX_CAUSES: usize = 4;
 
 pub(in crate::cli) fn main(args: &PlanArgs, registry: &Registry) -> Result<ExitCode, Error> {
     let session = pipeline::session(&args.pipeline, &args.store, registry)?;
@@ -60,68 +59,11 @@ fn print_plan(
     }
 }
 
-/// One line of the table.
-#[derive(Debug)]
-struct Row<'g> {
-    stages: Vec<StageIndex>,
-    stage: &'g str,
-    verdict: &'static str,
-    /// The stages that it depends on and that will run.
-    causes: Vec<StageIndex>,
-    /// What differs in the stage itself.
-    own: String,
-}
-
-/// The rows: instances of a stage with the same verdict and reasons share one, unless `all` is set.
-fn rows<'g>(plan: &Plan<'g>, names: &Names<'g>, all: bool) -> Vec<Row<'g>> {
-    let mut rows: Vec<Row<'g>> = Vec::new();
-    for (index, verdict) in &plan.steps {
-        let Some(stage) = plan.graph.stages.node_weight(*index) else { continue };
-        let row = row(*index, &stage.name, verdict);
-        if row.verdict == CACHED && !all {
-            continue;
-        }
-        let alike = |other: &Row<'_>| {
-            (other.stage, other.verdict, &other.own) == (row.stage, row.verdict, &row.own)
-                && names.same_stages(&other.causes, &row.causes)
-        };
-        match rows.iter_mut().rev().find(|other| !all && alike(other)) {
-            Some(other) => {
-                other.stages.extend(row.stages);
-                other.causes.extend(row.causes);
-                other.causes.sort_unstable();
-                other.causes.dedup();
-            }
-            None => rows.push(row),
-        }
-    }
-    rows
-}
-
-const CACHED: &str = "cached";
-
-fn row<'g>(index: StageIndex, stage: &'g str, verdict: &Verdict) -> Row<'g> {
-    let (verdict, causes, own) = match verdict {
-        Verdict::Cached { .. } => (CACHED, Vec::new(), String::new()),
-        Verdict::Run { why: reasons, .. } => ("run", Vec::new(), why::text(reasons)),
-        Verdict::DependsOn { stages, why: reasons } => ("depends on", stages.to_vec(), why::text(reasons)),
-    };
-    Row { stages: vec![index], stage, verdict, causes, own }
-}
-
-fn why_of(row: &Row<'_>, names: &Names<'_>) -> String {
-    match (row.causes.is_empty(), row.own.is_empty()) {
-        (true, _) => row.own.clone(),
-        (false, true) => names.groups(&row.causes, MAX_CAUSES),
-        (false, false) => format!("{}; {}", names.groups(&row.causes, MAX_CAUSES), row.own),
-    }
-}
-
 fn table(plan: &Plan<'_>, estimates: &Estimates, all: bool, terminal: Terminal) -> String {
     let names = Names::new(plan.graph);
-    let rows: Vec<Vec<String>> = rows(plan, &names, all)
+    let rows: Vec<Vec<String>> = rows::rows(plan, &names, all)
         .into_iter()
-        .map(|row| vec![names.group(&row.stages), row.verdict.to_owned(), why_of(&row, &names)])
+        .map(|row| vec![names.group(&row.stages), row.verdict.to_owned(), row.why()])
         .collect();
     let paint = |column, cell: String| match (column, cell.trim_end()) {
         (1, "run") => terminal.paint(Style::Notable, &cell),

@@ -3,9 +3,10 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
+use crate::cli::change::{Change, Changed, grouped};
+use crate::cli::columns;
 use crate::cli::names::Names;
 use crate::cli::terminal::{Style, Terminal, count};
-use crate::cli::{columns, why};
 use crate::plan::{Plan, Reason, Verdict};
 use crate::resolve::StageIndex;
 
@@ -13,23 +14,38 @@ use crate::resolve::StageIndex;
 const MOST_LINES: usize = 200;
 
 /// One cause: instances of a stage that differ in the same way.
-struct Line {
+struct Line<'g> {
+    stage: &'g str,
     instances: Vec<StageIndex>,
-    why: String,
+    change: Change,
     /// The number of stages downstream.
     behind: usize,
+}
+
+impl Changed for Line<'_> {
+    fn change(&mut self) -> &mut Change {
+        &mut self.change
+    }
+
+    fn fits(&self, other: &Self) -> bool {
+        self.stage == other.stage
+    }
+
+    fn take(&mut self, other: Self) {
+        self.instances.extend(other.instances);
+    }
 }
 
 /// The causes of all stale stages in a plan.
 pub(super) fn text(plan: &Plan<'_>, terminal: Terminal) -> String {
     let lines = lines(plan);
     let names = Names::new(plan.graph);
-    let cells = |line: &Line| {
+    let cells = |line: &Line<'_>| {
         let behind = match line.behind {
             0 => String::new(),
             behind => format!("; {} downstream", count(behind, "stage")),
         };
-        vec![names.group(&line.instances), format!("{}{behind}", line.why)]
+        vec![names.group(&line.instances), format!("{}{behind}", line.change.text())]
     };
     let rows: Vec<Vec<String>> = lines.iter().take(MOST_LINES).map(cells).collect();
     let stale = plan.steps.iter().filter(|(_, verdict)| !matches!(verdict, Verdict::Cached { .. })).count();
@@ -43,31 +59,26 @@ pub(super) fn text(plan: &Plan<'_>, terminal: Terminal) -> String {
     text + "\nname a stage to see its causes\n"
 }
 
-fn lines<'g>(plan: &Plan<'g>) -> Vec<Line> {
-    let mut places: HashMap<(&'g str, String), usize> = HashMap::new();
-    let mut lines: Vec<Line> = Vec::new();
-    let mut line_of: HashMap<StageIndex, usize> = HashMap::new();
-    for (index, verdict) in &plan.steps {
-        let Some(stage) = plan.graph.stages.node_weight(*index) else { continue };
+fn lines<'g>(plan: &Plan<'g>) -> Vec<Line<'g>> {
+    let causes = plan.steps.iter().filter_map(|(index, verdict)| {
+        let stage = &plan.graph.stages.node_weight(*index)?.name;
         let reasons = match verdict {
             Verdict::Run { why, .. } => why,
             Verdict::DependsOn { why, .. } if why.iter().any(|why| *why != Reason::New) => why,
-            _ => continue,
+            _ => return None,
         };
-        let why = why::text(reasons);
-        let at = *places.entry((&stage.name, why.clone())).or_insert(lines.len());
-        if at == lines.len() {
-            lines.push(Line { instances: Vec::new(), why, behind: 0 });
-        }
-        lines[at].instances.push(*index);
-        line_of.insert(*index, at);
-    }
+        Some(Line { stage, instances: vec![*index], change: Change::new(reasons), behind: 0 })
+    });
+    let mut lines = grouped(causes);
+    let line_of =
+        lines.iter().enumerate().flat_map(|(at, line)| line.instances.iter().map(move |stage| (*stage, at)));
+    let line_of = line_of.collect();
     count_behind(plan, &line_of, &mut lines);
     lines
 }
 
 /// Counts the stages downstream of each line. Stages that depend on the same ones share a list, which is visited once.
-fn count_behind(plan: &Plan<'_>, line_of: &HashMap<StageIndex, usize>, lines: &mut [Line]) {
+fn count_behind(plan: &Plan<'_>, line_of: &HashMap<StageIndex, usize>, lines: &mut [Line<'_>]) {
     let mut lists: HashMap<*const StageIndex, (&Arc<[StageIndex]>, usize)> = HashMap::new();
     for (_, verdict) in &plan.steps {
         if let Verdict::DependsOn { stages, .. } = verdict {
