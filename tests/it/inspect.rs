@@ -132,6 +132,68 @@ fn a_log_is_found_by_the_name_of_its_stage() {
     assert!(ended.stderr.contains("no run in "), "{}", ended.stderr);
 }
 
+/// Three instances of a command that prints its name, and fails where there is a file of that name.
+fn three(sealed: &Sealed, axis: &str) -> String {
+    let at = sealed.path("fail").display().to_string();
+    format!(
+        "name: p\naxes: {{ {axis}: [one, two, three] }}\nstages:\n  \
+         c: {{ kind: command, matrix: [{axis}], with: {{ shell: \"echo I am ${{{axis}}}; test ! -e {at}-${{{axis}}}; : > {{outputs.o}}\", outputs: {{ o: o.txt }} }} }}\n  \
+         t: {{ kind: concat, matrix: [{axis}], inputs: {{ parts: c }} }}\n"
+    )
+}
+
+#[test]
+fn the_newest_log_of_every_instance_is_found_whichever_run_it_is_from() {
+    let sealed = Sealed::new();
+    sealed.write("p.yaml", &three(&sealed, "x"));
+    sealed.write("fail-two", "");
+    assert_eq!(sealed.run("run p.yaml").code, 1);
+    std::fs::remove_file(sealed.path("fail-two")).unwrap();
+    sealed.run_ok("run p.yaml");
+    let all = sealed.run_ok("log c");
+    for name in ["one", "two", "three"] {
+        assert!(
+            all.contains(&format!("==> c[x={name}]: ran in run ")) && all.contains(&format!("I am {name}\n")),
+            "{all}"
+        );
+    }
+    let runs = parsed(&sealed, "runs --json");
+    let (latest, first) = (runs[0]["run"].as_str().unwrap(), runs[1]["run"].as_str().unwrap());
+    let json = parsed(&sealed, "log c --json");
+    let of = |id: &str| stage(&json, id)["run"].as_str().unwrap().to_owned();
+    assert_eq!([of("c[x=one]"), of("c[x=two]"), of("c[x=three]")], [first, latest, first]);
+    assert_eq!(sealed.run_ok("log c --path").lines().count(), 3);
+    assert_eq!(sealed.run_ok(&format!("log c --path --run {latest}")).lines().count(), 1);
+    // Another pipeline has stages of its own.
+    sealed.write("q.yaml", &three(&sealed, "x").replace("name: p", "name: q").replace("I am", "This is"));
+    sealed.run_ok("run q.yaml c[x=one]");
+    let other = sealed.run_ok("log c");
+    assert_eq!(other, "This is one\n");
+}
+
+#[test]
+fn an_instance_that_never_ran_is_named_and_one_with_a_new_name_has_the_log_of_its_result() {
+    let sealed = Sealed::new();
+    sealed.write("p.yaml", &three(&sealed, "x"));
+    sealed.write("fail-two", "");
+    sealed.run("run p.yaml");
+    let ended = sealed.run("log t --path");
+    assert_eq!((ended.code, ended.stdout.lines().count()), (0, 2), "{ended:?}");
+    assert_eq!(ended.stderr, "note: no run started t[x=two]\n");
+    std::fs::remove_file(sealed.path("fail-two")).unwrap();
+    sealed.run_ok("run p.yaml");
+    // The same results under new names; one of them runs again.
+    sealed.write("p.yaml", &three(&sealed, "y"));
+    sealed.run_ok("run p.yaml --force c[y=three]");
+    let json = parsed(&sealed, "log c --json");
+    let ids: Vec<_> =
+        json.as_array().unwrap().iter().map(|log| (&log["stage"], &log["started_as"])).collect();
+    let (one, three, two) = (json!("c[y=one]"), json!("c[y=three]"), json!("c[y=two]"));
+    assert_eq!(ids, [(&one, &json!("c[x=one]")), (&three, &three), (&two, &json!("c[x=two]"))]);
+    let text = sealed.run_ok("log c");
+    assert!(text.contains("==> c[y=one]: ran as c[x=one] in run ") && text.contains("I am one\n"), "{text}");
+}
+
 #[test]
 fn runs_are_listed_latest_first_with_how_they_ended() {
     let sealed = Sealed::with(WORDS);

@@ -48,7 +48,7 @@ pub(in crate::cli) struct LogArgs {
     /// Stages: `table22`, `'table*'`, `'evaluate[policy=beta]'`
     #[arg(value_name = "STAGE", required = true)]
     pub stages: Vec<String>,
-    /// The run, as listed by `runs` [default: the latest that started the stage]
+    /// The run, as listed by `runs` [default: of each instance the latest that started it]
     #[arg(short, long, value_name = "RUN")]
     pub run: Option<String>,
     #[command(flatten)]

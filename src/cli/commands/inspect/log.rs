@@ -1,19 +1,18 @@
-//! `dril-pipe log`: the log of a stage, of the latest run that started it or of a given run.
+//! `dril-pipe log`: the logs of stages, of every instance the newest one or that of a given run.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::path::Path;
 use std::process::ExitCode;
 
 use serde_json::{Value, json};
 
-use super::{age, epoch, pick, pick_run};
+use super::logs::{self, Log};
+use super::{age, epoch, ids, pick, pick_run};
 use crate::cli::args::LogArgs;
 use crate::cli::pipeline;
-use crate::cli::terminal::{print, printable, shown};
-use crate::error::{Error, ErrorKind};
+use crate::cli::terminal::{print, print_error, printable, shown};
+use crate::error::Error;
 use crate::fsx::{self, Entry};
-use crate::resolve::Pattern;
-use crate::store::{PastRun, Store};
 
 /// So many bytes are printed at once.
 const CHUNK: usize = 1 << 16;
@@ -25,35 +24,46 @@ pub(in crate::cli) fn main(args: &LogArgs) -> Result<ExitCode, Error> {
         None => None,
     };
     let mut output = Output::default();
-    let mut all = Vec::new();
+    let (mut all, mut never) = (Vec::new(), BTreeSet::new());
     for (word, pattern) in args.stages.iter().zip(pick::patterns(&args.stages)?) {
-        let (run, stages) = find(&store, word, &pattern, given.as_deref())?;
-        for id in &stages {
-            let Some(path) = run.log_of(id) else { continue };
+        let logs = match &given {
+            Some(run) => logs::of_run(&store, word, &pattern, run)?,
+            None => logs::newest(&store, word, &pattern)?,
+        };
+        let titled = logs.found.len() > 1 || args.stages.len() > 1;
+        for (id, log) in &logs.found {
             if args.path {
-                output.add(&format!("{}\n", shown(&path)));
+                output.add(&format!("{}\n", shown(&log.path)));
             } else if args.json {
-                let fate = run.stages.get(id).map(|stage| stage.fate.name());
-                let mut lines = Vec::new();
-                each_line(&path, args.tail, |line| {
-                    lines.push(line);
-                    true
-                })?;
-                all.push(json!({
-                    "stage": id, "run": run.id, "began": epoch(run.began), "fate": fate,
-                    "path": path.to_string_lossy(), "lines": lines,
-                }));
+                all.push(as_json(id, log, args.tail)?);
             } else {
-                let titled = stages.len() > 1 || args.stages.len() > 1;
-                page(&mut output, &run, (id, &path), args.tail, titled)?;
+                page(&mut output, id, log, args.tail, titled)?;
             }
         }
+        never.extend(logs.never);
     }
     if args.json {
         output.add(&format!("{:#}\n", Value::Array(all)));
     }
     output.end()?;
+    if !never.is_empty() {
+        let never: Vec<&str> = never.iter().map(String::as_str).collect();
+        print_error(&format!("note: no run started {}\n", printable(&ids::groups(&never))));
+    }
     Ok(ExitCode::SUCCESS)
+}
+
+fn as_json(id: &str, log: &Log, tail: Option<usize>) -> Result<Value, Error> {
+    let fate = log.run.stages.get(&log.id).map(|stage| stage.fate.name());
+    let mut lines = Vec::new();
+    each_line(&log.path, tail, |line| {
+        lines.push(line);
+        true
+    })?;
+    Ok(json!({
+        "stage": id, "started_as": log.id, "run": log.run.id, "began": epoch(log.run.began), "fate": fate,
+        "path": log.path.to_string_lossy(), "lines": lines,
+    }))
 }
 
 /// Prints a long text in pieces.
@@ -94,47 +104,20 @@ fn each_line(path: &Path, tail: Option<usize>, mut each: impl FnMut(String) -> b
     Ok(())
 }
 
-fn page(
-    output: &mut Output,
-    run: &PastRun,
-    (id, path): (&str, &Path),
-    tail: Option<usize>,
-    titled: bool,
-) -> Result<(), Error> {
-    let Some(stage) = run.stages.get(id) else { return Ok(()) };
+fn page(output: &mut Output, id: &str, log: &Log, tail: Option<usize>, titled: bool) -> Result<(), Error> {
+    let Log { run, path, .. } = log;
+    let Some(stage) = run.stages.get(&log.id) else { return Ok(()) };
     let is_empty = matches!(fsx::entry(path)?, Some(Entry::File(0)));
-    if titled || is_empty {
+    let is_renamed = log.id != id;
+    if titled || is_empty || is_renamed {
         let nothing = if is_empty { "; the log is empty" } else { "" };
+        let name = if is_renamed { format!(" as {}", log.id) } else { String::new() };
         let (fate, began) = (stage.fate.name(), age(run.began));
-        output.add(&format!("==> {id}: {fate} in run {}, {began}{nothing}\n", run.id));
+        output.add(&format!("==> {id}: {fate}{name} in run {}, {began}{nothing}\n", run.id));
     }
     each_line(path, tail, |line| output.add(&(printable(&line).replace('\n', " ") + "\n")))?;
     if let Some(error) = &stage.error {
         output.add(&format!("==> failed: {}\n", printable(error).trim_end()));
     }
     Ok(())
-}
-
-/// The latest run that started a stage of that name, and the stages.
-fn find(
-    store: &Store,
-    word: &str,
-    pattern: &Pattern<'_>,
-    given: Option<&str>,
-) -> Result<(PastRun, Vec<String>), Error> {
-    let ids = match given {
-        Some(id) => vec![id.to_owned()],
-        None => store.run_ids()?,
-    };
-    for id in ids {
-        let run = store.past_run(&id)?;
-        let stages = run.stages.iter().filter(|(id, stage)| stage.fate.was_started() && pattern.means_id(id));
-        let stages: Vec<String> = stages.map(|(id, _)| id.clone()).collect();
-        if !stages.is_empty() {
-            return Ok((run, stages));
-        }
-    }
-    let place = given.map_or_else(|| format!("in `{}`", store.root().display()), |id| format!("as run {id}"));
-    Err(Error::new(ErrorKind::Usage, format!("no run {place} started a stage `{word}`"))
-        .hint("`dril-pipe runs` lists the runs, `dril-pipe status FILE` the stages of a pipeline"))
 }

@@ -3,7 +3,9 @@
 pub(in crate::cli) mod diff;
 pub(in crate::cli) mod explain;
 pub(in crate::cli) mod failures;
+mod ids;
 pub(in crate::cli) mod log;
+mod logs;
 mod overview;
 mod pick;
 pub(in crate::cli) mod runs;
