@@ -226,6 +226,45 @@ fn diff_shows_parameters_and_results_of_two_runs_side_by_side() {
 }
 
 #[test]
+fn diff_names_renamed_stages_once_and_groups_what_only_one_run_has() {
+    let sealed = Sealed::new();
+    sealed.write("p.yaml", &three(&sealed, "x"));
+    sealed.run_ok("run p.yaml");
+    sealed.write("p.yaml", &(three(&sealed, "y") + "  z: { kind: emit, with: { text: z } }\n"));
+    sealed.run_ok("run p.yaml");
+    let body = |args: &str| {
+        let text = sealed.run_ok(args);
+        text.split_once("\n\n").unwrap().1.to_owned()
+    };
+    // The label of an artifact is in the key of a stage that reads many.
+    assert_eq!(
+        body("diff last~1"),
+        "c × 3: renamed, c[x=one] -> c[y=one] and so on; the results are the same\n\n\
+         t × 3: renamed, t[x=one] -> t[y=one] and so on; other keys, but the results are the same\n\n\
+         z: missing, then done\n\n\
+         0 stages the same, 6 renamed, 1 different\n"
+    );
+    let json = parsed(&sealed, "diff last~1 --json");
+    assert_eq!(json["renamed"][0], json!({ "then": "c[x=one]", "now": "c[y=one]", "same_key": true }));
+    assert_eq!((json["renamed"].as_array().unwrap().len(), json["stages"].as_array().unwrap().len()), (6, 1));
+    assert_eq!(
+        body("diff last~1 --stage c[y=two]"),
+        "c[x=two] -> c[y=two]: renamed; the results are the same\n\n0 stages the same, 1 renamed, 0 different\n"
+    );
+    // Stages with another name, and stages that are gone.
+    let other = three(&sealed, "y").split_once("  t:").unwrap().0.replace("  c:", "  d:");
+    sealed.write("p.yaml", &other);
+    sealed.run_ok("run p.yaml --force d[y=two]");
+    assert_eq!(
+        body("diff last~1"),
+        "c × 3 -> d × 3: renamed, c[y=one] -> d[y=one] and so on; the results are the same\n\n\
+         t × 3: done, then missing\n\n\
+         z: done, then missing\n\n\
+         0 stages the same, 3 renamed, 4 different\n"
+    );
+}
+
+#[test]
 fn looking_changes_nothing_in_the_store() {
     let sealed = Sealed::with(WORDS);
     sealed.run_ok("run p.yaml");

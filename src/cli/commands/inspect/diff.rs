@@ -5,14 +5,15 @@ use std::process::ExitCode;
 
 use serde_json::{Value, json};
 
-use super::{age, pick, pick_run, seconds, size};
+use super::pair::{Pair, Side};
+use super::renamed::{self, Renamed};
+use super::{age, ids, pick, pick_run, seconds, size};
 use crate::cli::args::DiffArgs;
 use crate::cli::terminal::{Style, Terminal, count, cut, print, printable};
 use crate::cli::{pipeline, why};
 use crate::error::Error;
 use crate::fsx;
-use crate::plan::{self, Reason};
-use crate::store::{PastRun, Record, Store, Stored};
+use crate::store::{PastRun, Store, Stored};
 
 /// Larger results are compared by digest only.
 const LARGEST: u64 = 1 << 20;
@@ -32,103 +33,58 @@ pub(in crate::cli) fn main(args: &DiffArgs) -> Result<ExitCode, Error> {
     let wanted = |id: &str| patterns.is_empty() || patterns.iter().any(|pattern| pattern.means_id(id));
     let mut pairs = Vec::new();
     let mut same = 0;
-    for id in ids.into_iter().filter(|id| wanted(id)) {
-        let pair = Pair { id, then: side(&store, &first, id)?, now: side(&store, &second, id)? };
-        if pair.then.same(&pair.now) { same += 1 } else { pairs.push(pair) }
+    for id in ids {
+        let pair = Pair::of(id, &store, &first, &second)?;
+        match pair.then.same(&pair.now) {
+            true => same += usize::from(wanted(id)),
+            false => pairs.push(pair),
+        }
     }
+    let mut renamed = renamed::take(&mut pairs);
+    pairs.retain(|pair| wanted(pair.id));
+    renamed.retain(|pair| wanted(pair.then) || wanted(pair.now));
     if args.json {
-        let stages = pairs.iter().map(|pair| pair.json(&store)).collect::<Result<Vec<_>, _>>()?;
-        let json = json!({ "first": first.id, "second": second.id, "same": same, "stages": stages });
+        let stages = pairs.iter().map(|pair| as_json(pair, &store)).collect::<Result<Vec<_>, _>>()?;
+        let renamed: Vec<Value> = renamed.iter().map(Renamed::json).collect();
+        let json = json!({
+            "first": first.id, "second": second.id, "same": same, "renamed": renamed, "stages": stages,
+        });
         print(&format!("{json:#}\n"))?;
     } else {
-        print(&text(&store, &first, &second, &pairs, same)?)?;
+        print(&text(&store, (&first, &second), &renamed, &pairs, same)?)?;
     }
     Ok(ExitCode::SUCCESS)
 }
 
-/// A stage in one of the runs.
-struct Side {
-    fate: &'static str,
-    key: Option<crate::store::Key>,
-    record: Option<Record>,
-}
-
-/// A stage in both.
-struct Pair<'a> {
-    id: &'a str,
-    then: Side,
-    now: Side,
-}
-
-fn side(store: &Store, run: &PastRun, id: &str) -> Result<Side, Error> {
-    let Some(stage) = run.stages.get(id) else {
-        return Ok(Side { fate: "missing", key: None, record: None });
+fn as_json(pair: &Pair<'_>, store: &Store) -> Result<Value, Error> {
+    let side = |side: &Side| {
+        json!({
+            "fate": side.fate, "key": side.key,
+            "seconds": side.record.as_ref().map(|record| record.seconds),
+        })
     };
-    let record = match stage.key {
-        Some(key) => store.record(&key)?,
-        None => None,
-    };
-    Ok(Side { fate: stage.fate.name(), key: stage.key, record })
-}
-
-impl Side {
-    /// True for the same key and the same outcome; cached or run makes no difference.
-    fn same(&self, other: &Self) -> bool {
-        self.key == other.key && self.key.is_some() && self.record.is_some() == other.record.is_some()
-    }
-
-    fn fate(&self) -> &'static str {
-        // For a comparison of results, cached and run are the same.
-        if self.record.is_some() { "done" } else { self.fate }
-    }
-}
-
-impl Pair<'_> {
-    fn reasons(&self) -> Vec<Reason> {
-        match (&self.then.record, &self.now.record) {
-            (Some(then), Some(now)) => plan::compare(then, now),
-            _ => Vec::new(),
-        }
-    }
-
-    /// Output, what it was, what it is; those that differ.
-    fn results(&self) -> Vec<(&String, Option<&Stored>, Option<&Stored>)> {
-        let (Some(then), Some(now)) = (&self.then.record, &self.now.record) else { return Vec::new() };
-        let names: BTreeSet<&String> = then.outputs.keys().chain(now.outputs.keys()).collect();
-        let both = names.into_iter().map(|name| (name, then.outputs.get(name), now.outputs.get(name)));
-        both.filter(|(_, then, now)| then.map(|it| it.digest) != now.map(|it| it.digest)).collect()
-    }
-
-    fn json(&self, store: &Store) -> Result<Value, Error> {
-        let side = |side: &Side| {
-            json!({
-                "fate": side.fate, "key": side.key,
-                "seconds": side.record.as_ref().map(|record| record.seconds),
-            })
+    let mut results = Vec::new();
+    for (name, then, now) in pair.results() {
+        let lines = match (then, now) {
+            (Some(then), Some(now)) => lines(store, then, now)?,
+            _ => None,
         };
-        let mut results = Vec::new();
-        for (name, then, now) in self.results() {
-            let lines = match (then, now) {
-                (Some(then), Some(now)) => lines(store, then, now)?,
-                _ => None,
-            };
-            let lines = lines.map(|lines| {
-                let line = |(number, then, now): &Other| json!({ "line": number, "then": then, "now": now });
-                lines.iter().map(line).collect::<Vec<_>>()
-            });
-            results.push(json!({ "output": name, "then": then, "now": now, "lines": lines }));
-        }
-        let why: Vec<Value> = self.reasons().iter().map(why::json).collect();
-        Ok(json!({
-            "stage": self.id, "then": side(&self.then), "now": side(&self.now), "why": why, "results": results,
-        }))
+        let lines = lines.map(|lines| {
+            let line = |(number, then, now): &Other| json!({ "line": number, "then": then, "now": now });
+            lines.iter().map(line).collect::<Vec<_>>()
+        });
+        results.push(json!({ "output": name, "then": then, "now": now, "lines": lines }));
     }
+    let why: Vec<Value> = pair.reasons().iter().map(why::json).collect();
+    Ok(json!({
+        "stage": pair.id, "then": side(&pair.then), "now": side(&pair.now), "why": why, "results": results,
+    }))
 }
 
 fn text(
     store: &Store,
-    first: &PastRun,
-    second: &PastRun,
+    (first, second): (&PastRun, &PastRun),
+    renamed: &[Renamed<'_>],
     pairs: &[Pair<'_>],
     same: usize,
 ) -> Result<String, Error> {
@@ -137,29 +93,49 @@ fn text(
         format!("{} ({}, {}; {})", run.id, printable(&run.pipeline), printable(&run.profile), age(run.began))
     };
     let mut text = format!("- {}\n+ {}\n", title(first), title(second));
+    for line in renamed::lines(renamed, |name| terminal.paint(Style::Strong, name)) {
+        text += &format!("\n{line}\n");
+    }
+    // Instances of a stage of which there is nothing more to say share a line.
+    let mut groups: Vec<Vec<&Pair<'_>>> = Vec::new();
     for pair in pairs {
-        text += &format!("\n{}", terminal.paint(Style::Strong, pair.id));
-        match (&pair.then.record, &pair.now.record) {
-            (Some(then), Some(now)) => {
-                text += &format!(": took {}, then {}\n", seconds(then.seconds), seconds(now.seconds));
-            }
-            _ => text += &format!(": {}, then {}\n", pair.then.fate(), pair.now.fate()),
-        }
-        let reasons = pair.reasons();
-        if !reasons.is_empty() {
-            text += &format!("  {}\n", why::text(&reasons));
-        }
-        for (name, then, now) in pair.results() {
-            text += &result(store, name, then, now)?;
-        }
-        if pair.results().is_empty() && pair.then.record.is_some() && pair.now.record.is_some() {
-            text += "  the results are the same\n";
+        let fates = pair.fates();
+        match groups.iter_mut().find(|group| fates.is_some() && group[0].fates() == fates) {
+            Some(group) => group.push(pair),
+            None => groups.push(vec![pair]),
         }
     }
-    if !pairs.is_empty() {
+    for group in &groups {
+        let (pair, names) = (group[0], group.iter().map(|pair| pair.id).collect::<Vec<_>>());
+        text += &format!("\n{}", terminal.paint(Style::Strong, &ids::group(&names)));
+        text += &match pair.fates() {
+            Some((_, then, now)) => format!(": {then}, then {now}\n"),
+            None => difference(store, pair)?,
+        };
+    }
+    if !groups.is_empty() || !renamed.is_empty() {
         text.push('\n');
     }
-    Ok(text + &format!("{} the same, {} different\n", count(same, "stage"), pairs.len()))
+    let moved = if renamed.is_empty() { String::new() } else { format!("{} renamed, ", renamed.len()) };
+    Ok(text + &format!("{} the same, {moved}{} different\n", count(same, "stage"), pairs.len()))
+}
+
+/// How a stage that both runs have finished differs.
+fn difference(store: &Store, pair: &Pair<'_>) -> Result<String, Error> {
+    let took = |side: &Side| side.record.as_ref().map_or_else(String::new, |record| seconds(record.seconds));
+    let mut text = format!(": took {}, then {}\n", took(&pair.then), took(&pair.now));
+    let reasons = pair.reasons();
+    if !reasons.is_empty() {
+        text += &format!("  {}\n", why::text(&reasons));
+    }
+    let results = pair.results();
+    if results.is_empty() {
+        text += "  the results are the same\n";
+    }
+    for (name, then, now) in results {
+        text += &result(store, name, then, now)?;
+    }
+    Ok(text)
 }
 
 fn result(store: &Store, name: &str, then: Option<&Stored>, now: Option<&Stored>) -> Result<String, Error> {
