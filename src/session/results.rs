@@ -160,34 +160,45 @@ pub(super) fn check_place(folder: &Path, graph: &Graph, will_write: bool) -> Res
     if names.is_empty() {
         return Ok(());
     }
+    let what = format!("to the results folder `{}`", folder.display());
     let place = if will_write { fsx::can_be_written(folder) } else { fsx::can_be_folder(folder) };
-    let (mut problems, mut remedy) = (Vec::new(), "move what is in the way");
-    match place {
-        Err(error) if error.source.kind() != std::io::ErrorKind::NotADirectory => {
-            remedy = "make it writable";
-            problems.push(error.to_string());
-        }
-        Err(error) if error.path == folder => problems.push(error.source.to_string()),
-        Err(error) => {
-            let what = error.source.to_string();
-            let what = what.strip_prefix("it ").unwrap_or(&what);
-            problems.push(format!("`{}` {what}", error.path.display()));
-        }
-        Ok(()) => {
-            for name in names.values().map(String::as_str).chain([MANIFEST]) {
-                let path = folder.join(name);
-                if fsx::entry(&path)? == Some(fsx::Entry::Folder) {
-                    problems.push(format!("`{}` is a folder, expected a file", path.display()));
-                }
-            }
+    place.map_err(|error| unwritable(&what, "--out", folder, &error))?;
+    let mut problems = Vec::new();
+    for name in names.values().map(String::as_str).chain([MANIFEST]) {
+        let path = folder.join(name);
+        if fsx::entry(&path)? == Some(fsx::Entry::Folder) {
+            problems.push(format!("`{}` is a folder, expected a file", path.display()));
         }
     }
-    if problems.is_empty() {
-        return Ok(());
+    if problems.is_empty() { Ok(()) } else { Err(refused(&what, "--out", &problems.join("; "), IN_THE_WAY)) }
+}
+
+/// Refuses a folder in which stages that will run cannot write learning curves.
+///
+/// # Errors
+/// Something is in the way, or the folder cannot be written.
+pub(super) fn check_curves(folder: &Path) -> Result<(), Error> {
+    let what = format!("learning curves to `{}`", folder.display());
+    fsx::can_be_written(folder).map_err(|error| unwritable(&what, "--tensorboard", folder, &error))
+}
+
+const IN_THE_WAY: &str = "move what is in the way";
+
+fn unwritable(what: &str, option: &str, folder: &Path, error: &fsx::FsError) -> Error {
+    let seen = error.source.to_string();
+    match error.source.kind() {
+        std::io::ErrorKind::NotADirectory if error.path == folder => refused(what, option, &seen, IN_THE_WAY),
+        std::io::ErrorKind::NotADirectory => {
+            let seen = seen.strip_prefix("it ").unwrap_or(&seen);
+            refused(what, option, &format!("`{}` {seen}", error.path.display()), IN_THE_WAY)
+        }
+        _ => refused(what, option, &error.to_string(), "make it writable"),
     }
-    let text = format!("cannot write to the results folder `{}`: {}", folder.display(), problems.join("; "));
-    Err(Error::new(ErrorKind::Io, text)
-        .hint(format!("nothing was run; {remedy}, or choose another folder with `--out DIR`")))
+}
+
+fn refused(what: &str, option: &str, seen: &str, remedy: &str) -> Error {
+    Error::new(ErrorKind::Io, format!("cannot write {what}: {seen}"))
+        .hint(format!("nothing was run; {remedy}, or choose another folder with `{option} DIR`"))
 }
 
 /// The path of the pipeline file relative to the results folder; `None` where one of them cannot be found.

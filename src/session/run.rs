@@ -148,6 +148,9 @@ impl<'s> Loaded<'s> {
         let will_run = counts.run + counts.depends > 0;
         results::check_place(&folder, graph, will_run)?;
         lock.check_place(will_run)?;
+        if let Some(curves) = session.options.curves.as_ref().filter(|_| will_run) {
+            results::check_curves(curves)?;
+        }
         Ok(Prepared { loaded: self, plan, lock, folder })
     }
 

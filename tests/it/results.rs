@@ -164,6 +164,14 @@ fn a_results_folder_that_cannot_be_written_is_an_error_before_anything_runs() {
     sealed.write("results", "a file");
     let ended = sealed.run("run p.yaml");
     assert!(ended.code == 4 && ended.stderr.contains("`results` is a file, expected a folder"), "{ended:?}");
+    let ended = sealed.run("run p.yaml --out there/else --tensorboard taken/curves");
+    let expected = format!("`{}` is a file, expected a folder\n", sealed.path("taken").display());
+    assert!(
+        ended.code == 4 && ended.stderr.starts_with("error: cannot write learning curves to `"),
+        "{ended:?}"
+    );
+    assert!(ended.stderr.contains(&expected) && ended.stderr.contains("`--tensorboard DIR`"), "{ended:?}");
+    assert_eq!(sealed.list("cache/runs-v1"), [""; 0]);
     // Without results, nothing has to be written.
     sealed.write("p.yaml", "name: two\nstages:\n  a: { kind: emit, with: { text: a } }\n");
     sealed.run_ok("run p.yaml");
