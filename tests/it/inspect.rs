@@ -195,6 +195,25 @@ fn an_instance_that_never_ran_is_named_and_one_with_a_new_name_has_the_log_of_it
 }
 
 #[test]
+fn a_stage_or_run_that_is_not_there_gets_a_hint_that_helps() {
+    let sealed = Sealed::with(WORDS);
+    let hint = |args: &str| {
+        let ended = sealed.run(args);
+        assert_eq!(ended.code, 2, "{ended:?}");
+        ended.stderr.split_once("hint: ").unwrap().1.trim_end().to_owned()
+    };
+    let other = "`--cache DIR` or DRIL_PIPE_CACHE names another cache";
+    assert_eq!(hint("log count"), format!("there are no runs; {other}"));
+    assert_eq!(hint("diff last"), other);
+    sealed.run_ok("run p.yaml");
+    assert!(hint("log cuont").starts_with("did you mean `count`? the stages of runs are `apart`, `count`, "));
+    let instances = "its instances in runs are `count[word=one]`, `count[word=three]`, `count[word=two]`";
+    assert_eq!(hint("log count[word=four]"), instances);
+    assert_eq!(hint("log count[word=four] --run last"), instances);
+    assert!(sealed.run("diff last~1").stderr.starts_with("error: `last~1`: there is only 1 run\n"));
+}
+
+#[test]
 fn runs_are_listed_latest_first_with_how_they_ended() {
     let sealed = Sealed::with(WORDS);
     assert!(sealed.run_ok("runs").starts_with("no runs in "));

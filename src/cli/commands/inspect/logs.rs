@@ -7,6 +7,7 @@ use std::rc::Rc;
 use super::ids;
 use crate::error::{Error, ErrorKind};
 use crate::resolve::Pattern;
+use crate::spec::suggest;
 use crate::store::{Key, PastRun, Store};
 
 /// The log of an instance.
@@ -34,8 +35,13 @@ pub(super) struct Logs {
 /// It started no such stage.
 pub(super) fn of_run(store: &Store, word: &str, pattern: &Pattern<'_>, run: &str) -> Result<Logs, Error> {
     let mut logs = Logs::default();
-    logs.add(&Rc::new(store.past_run(run)?), |id| pattern.means_id(id));
-    if logs.found.is_empty() { Err(none(word, &format!("as run {run}"))) } else { Ok(logs) }
+    let past = Rc::new(store.past_run(run)?);
+    logs.add(&past, |id| pattern.means_id(id));
+    if logs.found.is_empty() {
+        let known = past.stages.keys().cloned().collect();
+        return Err(none(word, pattern, &format!("as run {run}"), &known));
+    }
+    Ok(logs)
 }
 
 /// The newest ones. Instances are those that runs of one pipeline and profile have had: of the latest run that has such a stage,
@@ -45,8 +51,12 @@ pub(super) fn of_run(store: &Store, word: &str, pattern: &Pattern<'_>, run: &str
 /// No run has started such a stage.
 pub(super) fn newest(store: &Store, word: &str, pattern: &Pattern<'_>) -> Result<Logs, Error> {
     let mut pipelines: Vec<Vec<Rc<PastRun>>> = Vec::new();
+    let mut known = BTreeSet::new();
     for id in store.run_ids()? {
         let mut run = store.past_run(&id)?;
+        if pipelines.is_empty() {
+            known.extend(run.stages.keys().cloned());
+        }
         run.stages.retain(|id, _| pattern.means_id(id));
         if run.stages.is_empty() {
             continue;
@@ -65,7 +75,7 @@ pub(super) fn newest(store: &Store, word: &str, pattern: &Pattern<'_>) -> Result
             return Ok(logs);
         }
     }
-    Err(none(word, &format!("in `{}`", store.root().display())))
+    Err(none(word, pattern, &format!("in `{}`", store.root().display()), &known))
 }
 
 /// The newest logs of runs of one pipeline, latest first.
@@ -136,7 +146,19 @@ impl Logs {
     }
 }
 
-fn none(word: &str, place: &str) -> Error {
-    Error::new(ErrorKind::Usage, format!("no run {place} started a stage `{word}`"))
-        .hint("`dril-pipe runs` lists the runs, `dril-pipe status FILE` the stages of a pipeline")
+/// The error where no run has started a stage; `known` are stages of runs.
+fn none(word: &str, pattern: &Pattern<'_>, place: &str, known: &BTreeSet<String>) -> Error {
+    let error = Error::new(ErrorKind::Usage, format!("no run {place} started a stage `{word}`"));
+    let name = word.split('[').next().unwrap_or(word).trim();
+    let of_it: Vec<&str> = known.iter().map(String::as_str).filter(|id| ids::parts(id).0 == name).collect();
+    let names: BTreeSet<&str> = known.iter().map(|id| ids::parts(id).0).collect();
+    if known.is_empty() {
+        error.hint("there are no runs; `--cache DIR` or DRIL_PIPE_CACHE names another cache")
+    } else if known.iter().any(|id| pattern.means_id(id)) {
+        error.hint("`dril-pipe runs` lists the runs, `dril-pipe status FILE` the stages of a pipeline")
+    } else if of_it.is_empty() {
+        error.hint(suggest::hint(name, "the stages of runs", names))
+    } else {
+        error.hint(format!("its instances in runs are {}", suggest::list(&of_it)))
+    }
 }

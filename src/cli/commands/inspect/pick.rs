@@ -34,7 +34,9 @@ pub(in crate::cli) fn pick_run(store: &Store, word: &str) -> Result<String, Erro
     let ids = store.run_ids()?;
     let wrong = |text: String| Error::new(ErrorKind::Usage, text).hint("`dril-pipe runs` lists the runs");
     if ids.is_empty() {
-        return Err(wrong(format!("there are no runs in `{}`", store.root().display())));
+        let text = format!("there are no runs in `{}`", store.root().display());
+        let hint = "`--cache DIR` or DRIL_PIPE_CACHE names another cache";
+        return Err(Error::new(ErrorKind::Usage, text).hint(hint));
     }
     let back = match word.strip_prefix("last") {
         Some("") => Some(0),
@@ -42,11 +44,9 @@ pub(in crate::cli) fn pick_run(store: &Store, word: &str) -> Result<String, Erro
         None => None,
     };
     if let Some(back) = back {
-        let count = ids.len();
-        return ids
-            .into_iter()
-            .nth(back)
-            .ok_or_else(|| wrong(format!("`{word}`: there are only {count} runs")));
+        let there =
+            if ids.len() == 1 { "is only 1 run".to_owned() } else { format!("are only {} runs", ids.len()) };
+        return ids.into_iter().nth(back).ok_or_else(|| wrong(format!("`{word}`: there {there}")));
     }
     let mut fitting = ids.iter().filter(|id| id.starts_with(word) && !word.is_empty());
     match (fitting.next(), fitting.count()) {
