@@ -95,6 +95,36 @@ fn a_plan_groups_instances_by_what_happens_and_why_whatever_differs_between_them
 }
 
 #[test]
+fn what_a_run_says_of_many_instances_stays_short() {
+    let sealed = Sealed::new();
+    let odd = sealed.path("odd").display().to_string();
+    let fail = format!("test ! -e {odd}-$$X || echo $$X is odd; exit 3");
+    let pipeline = |shell: &str| {
+        format!(
+            "name: many\naxes: {{ x: [a, b, c, d, e, f, g, h, i, j, k, l, m, n] }}\nstages:\n  \
+             c: {{ kind: command, matrix: [x], with: {{ shell: \"{shell}; echo 1 > {{outputs.t}}\", env: {{ X: $x }}, outputs: {{ t: {{ type: table, path: t.csv }} }} }} }}\n"
+        )
+    };
+    sealed.write("p.yaml", &pipeline("true"));
+    sealed.run_ok("run p.yaml");
+    sealed.write("odd-c", "");
+    sealed.write("p.yaml", &pipeline(&fail));
+    let ended = sealed.run("run p.yaml --jobs 1");
+    let errors: Vec<&str> = ended.stderr.lines().filter(|line| line.starts_with("error: ")).collect();
+    let with = |text: &str| errors.iter().filter(|line| line.contains(text)).count();
+    let whole = "` failed: the shell ended with exit code 3; see its log";
+    assert_eq!((with(whole), with("` failed like `c[x=")), (2, 12), "{errors:?}");
+    assert_eq!(ended.stderr.matches("    | c is odd\n").count(), 1, "{}", ended.stderr);
+    assert_eq!(ended.stderr.matches("\n  log: cache/runs-v1/").count(), 14, "each names its log");
+    assert!(ended.stdout.contains("\n  failed: c × 14\nresults: "), "{}", ended.stdout);
+    assert!(
+        ended.stdout.contains(": c-a.csv, c-b.csv, ") && ended.stdout.ends_with("c-l.csv and 2 more\n"),
+        "{}",
+        ended.stdout
+    );
+}
+
+#[test]
 fn plans_before_and_after_a_run() {
     let sealed = Sealed::with(WORDS);
     let mut pages = vec![shown(&sealed, "plan p.yaml"), shown(&sealed, "plan p.yaml --all")];

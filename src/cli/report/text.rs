@@ -21,6 +21,9 @@ const MAX_GROUPS: usize = 8;
 /// The number of notes about shortened file names that are listed.
 const MAX_NOTES: usize = 5;
 
+/// The number of files that stay and of failed stages that are listed.
+const MAX_NAMES: usize = 12;
+
 /// Longer errors are cut; the log is complete.
 const MAX_ERROR: usize = 4000;
 
@@ -55,6 +58,8 @@ pub(super) struct EventText<'g> {
     /// Started stages by key: other stages may have the same key.
     started: HashMap<Key, StageIndex>,
     failed: Vec<StageIndex>,
+    /// The first instance of a stage that failed with this error and these last lines of its log.
+    first_failed: HashMap<(&'g str, String, Vec<String>), StageIndex>,
     skipped: Vec<StageIndex>,
 }
 
@@ -69,6 +74,7 @@ impl<'g> EventText<'g> {
             known: vec![false; total],
             started: HashMap::new(),
             failed: Vec::new(),
+            first_failed: HashMap::new(),
             skipped: Vec::new(),
         }
     }
@@ -134,7 +140,7 @@ impl<'g> EventText<'g> {
             Event::StageFailed { stage, failure: reason, log_tail, log } => {
                 self.done += 1;
                 self.failed.push(*stage);
-                Some(Line::Error(failure(self.id(*stage), &reason.to_string(), log_tail, log)))
+                Some(Line::Error(self.failure(*stage, reason.to_string(), log_tail, log)))
             }
             Event::Skipped { stage, .. } => {
                 // There can be many; the summary lists them in groups.
@@ -156,6 +162,17 @@ impl<'g> EventText<'g> {
             }
             Event::Started { .. } | Event::Progressed { .. } | Event::Finished { .. } => None,
         }
+    }
+
+    /// A failure in full, or that it is the one of another instance.
+    fn failure(&mut self, stage: StageIndex, error: String, log_tail: &[String], log: &Path) -> String {
+        let name = self.graph.stages.node_weight(stage).map_or("", |stage| &stage.name);
+        let first = *self.first_failed.entry((name, error.clone(), log_tail.to_vec())).or_insert(stage);
+        if first == stage {
+            return failure(self.id(stage), &error, log_tail, log);
+        }
+        let (id, first) = (self.id(stage), self.id(first));
+        format!("error: stage `{id}` failed like `{first}`\n  log: {}", shown(log))
     }
 
     fn line(&self, style: Style, word: &str, stage: StageIndex, more: &str) -> Line {
@@ -191,7 +208,7 @@ impl<'g> EventText<'g> {
             let folder = shown(&published.folder);
             text += &format!("\nresults: {folder} ({})", count(published.files, "file"));
             if !published.earlier.is_empty() {
-                let names = published.earlier.join(", ");
+                let names = listed(&published.earlier);
                 text += &format!(
                     "\n  from an earlier run, because their stages were not selected or did not finish: {names}"
                 );
@@ -246,8 +263,13 @@ impl<'g> EventText<'g> {
         } else {
             format!("{}: {counts}, in {took}", self.terminal.paint(Style::Bad, "failed"))
         };
-        for stage in &self.failed {
-            text += &format!("\n  failed: {}", self.id(*stage));
+        if self.failed.len() > MAX_NAMES {
+            let mut failed = self.failed.clone();
+            failed.sort_unstable();
+            text += &format!("\n  failed: {}", Names::new(self.graph).groups(&failed, MAX_GROUPS));
+        } else {
+            let failed = self.failed.iter().map(|stage| format!("\n  failed: {}", self.id(*stage)));
+            text += &failed.collect::<String>();
         }
         if !self.skipped.is_empty() {
             let mut skipped = self.skipped.clone();
@@ -255,6 +277,15 @@ impl<'g> EventText<'g> {
             text += &format!("\n  skipped: {}", Names::new(self.graph).groups(&skipped, MAX_GROUPS));
         }
         text
+    }
+}
+
+/// The first names, and the number of the others.
+fn listed(names: &[String]) -> String {
+    let shown = names.iter().take(MAX_NAMES).map(String::as_str).collect::<Vec<_>>().join(", ");
+    match names.len().saturating_sub(MAX_NAMES) {
+        0 => shown,
+        more => format!("{shown} and {more} more"),
     }
 }
 
