@@ -10,7 +10,7 @@
 //! - [`math`] and [`draw`] are functions and random draws whose bits do not depend on the processor. Code that affects a
 //!   result uses them instead of `std` or other libraries.
 //! - [`outcome`] is a pipeline with its results, the input of the HTML report.
-//! - [`scores`] is the artifact format that several stage crates share.
+//! - [`scores`] is the artifact format that several stage crates share, and [`lines`] names the lines of CSV files in messages.
 //!
 //! This crate does not know YAML, keys or the cache, and depends on no other package of the workspace.
 
@@ -21,6 +21,7 @@ mod error;
 mod job;
 mod kind;
 pub mod math;
+pub mod lines;
 mod needs;
 pub mod outcome;
 mod params;

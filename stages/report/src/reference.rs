@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use dril_stage_api::StageError;
+use dril_stage_api::{StageError, lines};
 
 /// The name of the input in every kind that has one.
 pub(crate) const PORT: &str = "reference";
@@ -45,13 +45,14 @@ impl Reference {
 
     fn parse(bytes: &[u8], keys: &[&str]) -> Result<Self, String> {
         let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes);
-        let unreadable = |error: csv::Error| unreadable(&error, bytes);
+        let unreadable =
+            |error: csv::Error| format!("not a CSV file: {}", lines::explain(&error, bytes, None));
         let headers = reader.headers().map_err(unreadable)?.clone();
         let at = positions(&headers, keys)?;
         let mut rows: Vec<Row> = Vec::new();
         for record in reader.records() {
             let record = record.map_err(unreadable)?;
-            let line = record.position().map_or(0, |position| line(bytes, position));
+            let line = record.position().map_or(0, |position| lines::of(bytes, position));
             let row = row(&record, line, keys, &at)?;
             if let Some(first) = rows.iter().find(|other| other.key == row.key) {
                 let key = describe(keys, &row.key);
@@ -114,33 +115,6 @@ fn number(text: &str, column: &str, line: u64) -> Result<Option<Published>, Stri
         Ok(value) if value.is_finite() => Ok(Some(Published { text: text.to_owned(), value })),
         _ => Err(format!("line {line}: `{column}` is `{text}`, expected a number or an empty cell")),
     }
-}
-
-fn unreadable(error: &csv::Error, bytes: &[u8]) -> String {
-    match error.kind() {
-        csv::ErrorKind::UnequalLengths { pos: Some(position), expected_len, len } => {
-            let (line, cells) = (line(bytes, position), if *len == 1 { "cell" } else { "cells" });
-            format!("not a CSV file: line {line} has {len} {cells}, expected {expected_len}")
-        }
-        csv::ErrorKind::Utf8 { pos: Some(position), .. } => {
-            format!("not a CSV file: line {} is not UTF-8", line(bytes, position))
-        }
-        _ => format!("not a CSV file: {error}"),
-    }
-}
-
-/// The line at which a record begins, from 1. The position of a record, and its own line number, may lie before the end of
-/// the line above (`\r\n`) and before empty lines.
-fn line(bytes: &[u8], position: &csv::Position) -> u64 {
-    let at = usize::try_from(position.byte()).map_or(bytes.len(), |at| at.min(bytes.len()));
-    let skipped = bytes[at..].iter().take_while(|byte| matches!(byte, b'\r' | b'\n')).count();
-    let before = &bytes[..at + skipped];
-    let ends = before.iter().enumerate().filter(|(n, byte)| match byte {
-        b'\n' => true,
-        b'\r' => before.get(n + 1) != Some(&b'\n'),
-        _ => false,
-    });
-    ends.count() as u64 + 1
 }
 
 /// `expert=clipped, method=bc`.

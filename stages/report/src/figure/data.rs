@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, HashMap};
 
-use dril_stage_api::{InputItem, StageError};
+use dril_stage_api::{InputItem, StageError, lines};
 
 use super::params::{FigureParams, Measure};
 
@@ -76,7 +76,8 @@ pub(crate) fn file(
     bytes: &[u8],
 ) -> Result<Vec<Strand>, String> {
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes);
-    let headers = reader.headers().map_err(|error| format!("not a CSV file: {error}"))?.clone();
+    let unreadable = |error: csv::Error| format!("not a CSV file: {}", lines::explain(&error, bytes, None));
+    let headers = reader.headers().map_err(unreadable)?.clone();
     let at = |name: &str| headers.iter().position(|header| header == name);
     let listed = || headers.iter().map(|header| format!("`{header}`")).collect::<Vec<_>>().join(", ");
     let missing = |name: &str| format!("has no column `{name}`; its columns are {}", listed());
@@ -114,8 +115,13 @@ pub(crate) fn file(
     let mut strands: Vec<Strand> = Vec::new();
     let mut places: HashMap<(usize, Vec<String>), usize> = HashMap::new();
     for (n, record) in reader.records().enumerate() {
-        let record = record.map_err(|error| format!("not a CSV file: {error}"))?;
-        let number = |at: usize| number(&record[at], &headers[at], n + 2);
+        let record = record.map_err(unreadable)?;
+        let number = |at: usize| {
+            number(&record[at], &headers[at]).map_err(|message| {
+                let line = record.position().map_or(0, |position| lines::of(bytes, position));
+                format!("line {line}: {message}")
+            })
+        };
         let Some(x) = x.map_or(Ok(Some(n as f64)), number)? else { continue };
         for (m, (measure, column)) in wanted.iter().enumerate() {
             let Some(y) = number(*column)? else { continue };
@@ -139,12 +145,11 @@ pub(crate) fn file(
 }
 
 /// The number in a cell; `None` for empty cells and numbers that are not finite.
-fn number(text: &str, column: &str, line: usize) -> Result<Option<f64>, String> {
+fn number(text: &str, column: &str) -> Result<Option<f64>, String> {
     if text.is_empty() {
         return Ok(None);
     }
-    let value: f64 =
-        text.parse().map_err(|_| format!("line {line}: `{column}` is `{text}`, expected a number"))?;
+    let value: f64 = text.parse().map_err(|_| format!("`{column}` is `{text}`, expected a number"))?;
     Ok(Some(value).filter(|value| value.is_finite()))
 }
 

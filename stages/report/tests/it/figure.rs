@@ -234,6 +234,10 @@ fn what_cannot_be_drawn_is_refused_with_what_was_seen() {
     assert!(message.contains("has no column `score`; its columns are `episode`, `points`"), "{message}");
     let message = run(params.clone(), "episode,score\n1,two\n");
     assert!(message.contains("line 2: `score` is `two`, expected a number"), "{message}");
+    let message = run(params.clone(), "episode,score\r\n1,2\r\n\r\n2,two\r\n");
+    assert!(message.contains("line 4: `score` is `two`, expected a number"), "{message}");
+    let message = run(params.clone(), "episode,score\r\n1,2\r\n2\r\n");
+    assert!(message.contains("not a CSV file: line 3 has 1 cell, expected 2"), "{message}");
     let message = run(params, "episode,score\n1,\n");
     assert!(message.contains("no file of input `data` has a row to draw"), "{message}");
     let message =
