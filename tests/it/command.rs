@@ -79,6 +79,23 @@ fn outputs_that_are_missing_or_undeclared_fail_the_stage_all_at_once() {
 }
 
 #[test]
+fn scores_that_cannot_be_read_fail_the_stage_that_wrote_them() {
+    let with = |rows: &str| {
+        format!(
+            "{{ shell: \"printf 'episode,seed,score,steps,outcome\\r\\n0,1,0.5,10,finished\\r\\n{rows}' > s.csv\", \
+             outputs: {{ s: {{ type: scores, path: s.csv }} }} }}"
+        )
+    };
+    let sealed = one(&with("1,2,high,10,finished"));
+    assert_eq!(
+        error(&sealed, ""),
+        "output `s`, whose type is `scores`: not a table of scores: line 3 in column `score`: invalid float literal"
+    );
+    assert!(sealed.list("cache/records-v1").is_empty());
+    assert!(one(&with("1,2,0.25,10,failed")).run_ok("run p.yaml").contains("1 ran"));
+}
+
+#[test]
 fn a_failure_names_the_exit_code_and_the_log_has_what_was_printed() {
     let sealed = one("{ shell: \"echo to out; echo to err >&2; exit 3\", outputs: { a: a } }");
     let events = sealed.events("--jobs 2");

@@ -6,7 +6,7 @@ use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command as Process, ExitStatus, Stdio};
 
-use dril_stage_api::{Arity, Artifact, Ctx, Job, JobOutput, Prepared, StageError};
+use dril_stage_api::{Arity, Artifact, Ctx, Job, JobOutput, Prepared, StageError, scores};
 use serde_json::json;
 
 use super::shell;
@@ -242,7 +242,15 @@ fn collect(
             continue;
         };
         match written(&work.join(&path), is_folder, work) {
-            Ok(found) => fsx::rename(&found, &place.path).map_err(StageError::failed)?,
+            Ok(found) => {
+                // Otherwise its readers would fail, perhaps days later.
+                if output.artifact() == Artifact::SCORES
+                    && let Err(message) = scores::check(&fsx::read(&found).map_err(StageError::failed)?)
+                {
+                    wrong.push(format!("output `{name}`, whose type is `scores`: {message}"));
+                }
+                fsx::rename(&found, &place.path).map_err(StageError::failed)?;
+            }
             Err(seen) => {
                 let expected = if is_folder { "folder" } else { "file" };
                 wrong.push(format!("output `{name}` {seen}, expected a {expected} at `{path}`"));
