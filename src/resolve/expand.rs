@@ -156,9 +156,7 @@ fn instances<'a>(
     filler: &mut Filler<'_>,
 ) -> Vec<Option<Instance>> {
     let stage = expanded.stage;
-    let over = context.layers.stage(&stage.name.text);
-    let own = defaults.iter().filter_map(|defaults| defaults.with.as_ref()).chain(&stage.with);
-    let layers: Vec<&Node> = own.chain(over).collect();
+    let layers = layers(stage, defaults, context);
     let place = format!("stage `{}`", stage.name.text);
     let before = filler.problems.reports();
     let build = |instance| {
@@ -174,6 +172,25 @@ fn instances<'a>(
         instance_of(expanded, &layers, &scope, context, filler)
     };
     (0..count).map(build).collect()
+}
+
+/// The parameters of a stage, the lowest layer first.
+fn layers<'a>(stage: &'a Stage, defaults: &[&'a Defaults], context: &ResolveContext<'a>) -> Vec<&'a Node> {
+    let own = defaults.iter().filter_map(|defaults| defaults.with.as_ref()).chain(&stage.with);
+    own.chain(context.layers.stage(&stage.name.text)).collect()
+}
+
+/// The parameters of an instance with their places, for problems that are found after its expansion.
+pub(super) fn parameters(
+    stage: &Stage,
+    scope: &Scope<'_>,
+    context: &ResolveContext<'_>,
+    filler: &mut Filler<'_>,
+) -> Option<Node> {
+    let defaults = context.layers.defaults();
+    let shared = stage.kind.as_ref().and_then(|kind| defaults.get(&*kind.text));
+    let shared = shared.map_or(&[] as &[&Defaults], Vec::as_slice);
+    with(&layers(stage, shared, context), scope, filler)
 }
 
 /// A stage reads a variable whose value cannot enter a key.

@@ -3,7 +3,7 @@
 //!
 //! `choices` parses profile and `--set` (`sweep` explains where several values do not work); `globals` and `axes` evaluate params and axes; `matrix` and `grid` expand matrices by
 //! their `rules` (`when` checks its values against those that axes have `elsewhere`), and `expand` checks the parameters of each
-//! instance; `items`, `select` and `wiring` connect instances; `build` makes the graph.
+//! instance; `items`, `select` and `wiring` connect instances, whose `labels` their readers check; `build` makes the graph.
 //! `scope` resolves `$name`; `template` and `reference` parse texts with `$` and input references.
 
 mod axes;
@@ -17,6 +17,7 @@ mod globals;
 mod graph;
 mod grid;
 mod items;
+mod labels;
 mod matrix;
 mod merge;
 mod params;

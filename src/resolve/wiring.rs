@@ -9,6 +9,7 @@ use super::context::ResolveContext;
 use super::expand::{Expanded, Instance};
 use super::graph::{Origin, Source, StageIndex, Wire};
 use super::items::{Item, Unpacker, What};
+use super::labels;
 use super::reference::{self, Reference};
 use super::scope::{Filler, Scope};
 use super::select::{self, Chosen, Consumer};
@@ -95,6 +96,7 @@ impl<'a, 'p, 'f> Wirer<'a, 'p, 'f> {
         if !missing.is_empty() {
             self.missing(stage, &missing);
         }
+        labels::check(stage, instance, &wires, self.stages, (&scope, self.context), self.filler);
         wires
     }
 

@@ -2,7 +2,7 @@
 //! They are described only: nothing here runs.
 #![allow(dead_code)]
 
-use dril_stage_api::{Artifact, Ctx, Describe, Kind, Ports, Problems, Registry, Stage, StageError};
+use dril_stage_api::{Artifact, Ctx, Describe, FanIns, Kind, Ports, Problems, Registry, Stage, StageError};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -224,6 +224,12 @@ impl Describe for Tabulate {
     const ABOUT: &'static str = "makes a table";
     const SEEDED: bool = false;
     type Params = TabulateParams;
+
+    fn check_labels(params: &TabulateParams, inputs: &FanIns<'_>, problems: &mut Problems) {
+        for (n, column) in params.columns.iter().enumerate() {
+            inputs.require("scores", column, &format!("columns.{n}"), problems);
+        }
+    }
 
     fn ports(_: &TabulateParams) -> Ports {
         Ports::new()

@@ -3,7 +3,9 @@
 use serde_json::Value;
 
 use crate::params::{self, Names};
-use crate::{Ctx, Describe, Job, Needs, ParamProblem, Ports, Prepared, Problems, Program, Stage, StageError};
+use crate::{
+    Ctx, Describe, FanIns, Job, Needs, ParamProblem, Ports, Prepared, Problems, Program, Stage, StageError,
+};
 
 /// A stage kind as the engine sees it: its name and revision, and functions on parameters as JSON values.
 #[derive(Clone, Copy)]
@@ -20,6 +22,7 @@ pub struct Kind {
     schema: fn() -> schemars::Schema,
     normalize: fn(&Value) -> Result<Value, Vec<ParamProblem>>,
     look: fn(&Value) -> Result<Look, Vec<ParamProblem>>,
+    check_labels: fn(&Value, &FanIns<'_>) -> Vec<ParamProblem>,
     ports: fn(&Value) -> Result<Ports, Vec<ParamProblem>>,
     needs: fn(&Value) -> Result<Needs, Vec<ParamProblem>>,
     run: Run,
@@ -89,6 +92,7 @@ impl Kind {
             schema: schema_of::<D>,
             normalize: normalize::<D>,
             look: look::<D>,
+            check_labels: check_labels::<D>,
             ports: ports::<D>,
             needs: needs::<D>,
             run,
@@ -179,6 +183,11 @@ impl Kind {
         (self.look)(params)
     }
 
+    /// The labels in the parameters that the artifacts at the inputs do not have; see [`Describe::check_labels`].
+    pub fn check_labels(&self, params: &Value, inputs: &FanIns<'_>) -> Vec<ParamProblem> {
+        (self.check_labels)(params, inputs)
+    }
+
     /// The inputs and outputs under these parameters.
     ///
     /// # Errors
@@ -261,6 +270,16 @@ fn checked<D: Describe>(params: &mut D::Params) -> Result<Value, Vec<ParamProble
             hint: None,
         }]
     })
+}
+
+fn check_labels<D: Describe>(value: &Value, inputs: &FanIns<'_>) -> Vec<ParamProblem> {
+    let params = match read::<D>(value) {
+        Ok(params) => params,
+        Err(found) => return found,
+    };
+    let mut problems = Problems::default();
+    D::check_labels(&params, inputs, &mut problems);
+    problems.into_vec()
 }
 
 fn ports<D: Describe>(value: &Value) -> Result<Ports, Vec<ParamProblem>> {

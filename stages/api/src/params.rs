@@ -17,6 +17,14 @@ pub struct ParamProblem {
     pub hint: Option<String>,
 }
 
+impl ParamProblem {
+    /// A problem with the value at `path` (dotted, as `env.time_limit`).
+    pub(crate) fn new(path: &str, message: impl Into<String>) -> Self {
+        let path = path.split('.').filter(|part| !part.is_empty()).map(str::to_owned).collect();
+        Self { path, message: message.into(), hint: None }
+    }
+}
+
 /// Collects the problems of one stage's parameters.
 #[derive(Debug, Default)]
 pub struct Problems {
@@ -26,8 +34,11 @@ pub struct Problems {
 impl Problems {
     /// Reports a problem with the value at `path` (dotted, as `env.time_limit`).
     pub fn add(&mut self, path: &str, message: impl Into<String>) {
-        let path = path.split('.').filter(|part| !part.is_empty()).map(str::to_owned).collect();
-        self.found.push(ParamProblem { path, message: message.into(), hint: None });
+        self.push(ParamProblem::new(path, message));
+    }
+
+    pub(crate) fn push(&mut self, problem: ParamProblem) {
+        self.found.push(problem);
     }
 
     /// Reports `value` if it is outside `range`; `expected` describes the range, as in "more than 0".
@@ -266,6 +277,15 @@ fn describe(path: &[String], message: &str) -> ParamProblem {
 }
 
 fn known_names(seen: &str, known: &[&str]) -> String {
+    if known.is_empty() {
+        "there are none to set here".to_owned()
+    } else {
+        nearest_and_known(seen, "known", known)
+    }
+}
+
+/// "did you mean `policy`? its labels are `policy`, `seed`"; `what` names the known ones: "its labels".
+pub(crate) fn nearest_and_known(seen: &str, what: &str, known: &[&str]) -> String {
     let nearest = known
         .iter()
         .map(|name| (strsim::damerau_levenshtein(seen, name), *name))
@@ -273,9 +293,8 @@ fn known_names(seen: &str, known: &[&str]) -> String {
         .min();
     let list = known.iter().map(|name| format!("`{name}`")).collect::<Vec<_>>().join(", ");
     match nearest {
-        Some((_, name)) => format!("did you mean `{name}`? known are {list}"),
-        None if known.is_empty() => "there are none to set here".to_owned(),
-        None => format!("known are {list}"),
+        Some((_, name)) => format!("did you mean `{name}`? {what} are {list}"),
+        None => format!("{what} are {list}"),
     }
 }
 

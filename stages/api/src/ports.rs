@@ -3,7 +3,7 @@
 use std::collections::HashSet;
 use std::sync::{LazyLock, Mutex, PoisonError};
 
-use crate::Artifact;
+use crate::{Artifact, scores};
 
 /// How many artifacts an input takes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,6 +41,8 @@ pub struct Output {
     pub extension: &'static str,
     /// One-line description.
     pub about: &'static str,
+    /// Every column that the CSV file can have, if that is known before it is made.
+    pub columns: Option<Vec<&'static str>>,
 }
 
 /// The inputs and outputs of a stage. Names are unique on each side; there is at least one output.
@@ -117,7 +119,17 @@ impl Ports {
         extension: &'static str,
         about: &'static str,
     ) -> Self {
-        self.outputs.push(Output { name, artifact, extension, about });
+        let columns = (artifact == Artifact::SCORES).then(|| scores::COLUMNS.to_vec());
+        self.outputs.push(Output { name, artifact, extension, about, columns });
+        self
+    }
+
+    /// States every column that the output which was added last, a CSV file, can have. For scores they are known anyway.
+    #[must_use]
+    pub fn columns(mut self, columns: &[&'static str]) -> Self {
+        if let Some(output) = self.outputs.last_mut() {
+            output.columns = Some(columns.to_vec());
+        }
         self
     }
 

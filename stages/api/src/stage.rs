@@ -9,7 +9,7 @@ use std::process::{Command, ExitStatus};
 use schemars::JsonSchema;
 use serde::{Serialize, de::DeserializeOwned};
 
-use crate::{Ctx, Job, Needs, Part, Ports, Problems, StageError};
+use crate::{Ctx, FanIns, Job, Needs, Part, Ports, Problems, StageError};
 
 /// The declaration of a stage kind: name, parameters, ports.
 pub trait Describe: 'static {
@@ -53,6 +53,12 @@ pub trait Describe: 'static {
     /// [`Describe::check`].
     fn unify(params: &mut Self::Params) {
         let _ = params;
+    }
+
+    /// Reports labels in the parameters that the artifacts at the inputs do not have. Called once the stage is connected, before
+    /// anything runs, so it must report only what is certain to fail: a name that may be a column of a file is not.
+    fn check_labels(params: &Self::Params, inputs: &FanIns<'_>, problems: &mut Problems) {
+        let _ = (params, inputs, problems);
     }
 
     /// A text as the parameters of the kind have to write it, so that it stays as it is: for a kind that replaces placeholders

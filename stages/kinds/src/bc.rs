@@ -6,6 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::artifacts::POLICY;
+use crate::columns::EPOCH_COLUMNS;
 use crate::default::defaults;
 use crate::update::NO_PRECISION;
 use crate::{Device, Network, PolicyFamily};
@@ -103,6 +104,7 @@ impl Describe for Bc {
             .input("demonstrations", DEMONSTRATIONS, "the demonstrations to imitate")
             .output("policy", POLICY, "safetensors", "the policy with the lowest validation loss")
             .output("log", Artifact::TRAINING_LOG, "csv", "one row per epoch")
+            .columns(&EPOCH_COLUMNS)
     }
 
     fn needs(params: &BcParams) -> Needs {

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::artifacts::{ENSEMBLE, POLICY};
 use crate::bc::check_fraction;
+use crate::columns::{DRIL_COLUMNS, EPISODE_COLUMNS, UPDATE_COLUMNS};
 use crate::default::defaults;
 use crate::on_policy::{self, OnPolicyParams};
 use crate::update::NO_PRECISION;
@@ -151,7 +152,9 @@ impl Describe for Dril {
             )
             .output("final", POLICY, "safetensors", "the policy after the last update")
             .output("log", Artifact::TRAINING_LOG, "csv", "one row per update")
+            .columns(&[&UPDATE_COLUMNS[..], &DRIL_COLUMNS].concat())
             .output("episodes", Artifact::TRAINING_LOG, "csv", "one row per training episode")
+            .columns(&EPISODE_COLUMNS)
     }
 
     fn needs(params: &DrilParams) -> Needs {

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::artifacts::ENSEMBLE;
 use crate::bc::check_fraction;
+use crate::columns::EPOCH_COLUMNS;
 use crate::update::NO_PRECISION;
 use crate::{Device, Split};
 
@@ -90,6 +91,7 @@ impl Describe for Ensemble {
             .input("demonstrations", DEMONSTRATIONS, "the demonstrations to imitate")
             .output("ensemble", ENSEMBLE, "safetensors", "the ensemble")
             .output("log", Artifact::TRAINING_LOG, "csv", "one row per epoch")
+            .columns(&EPOCH_COLUMNS)
     }
 
     fn needs(params: &EnsembleParams) -> Needs {

@@ -9,18 +9,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Device, UpdateParams};
 
-/// The columns of the output `episodes` (CSV): one row per finished episode, in the order in which they finish (in the
-/// order of the environments where several finish at the same step):
-///
-/// - `episode`: its number, from 0;
-/// - `step`: environment steps over all environments when it ended, counted from the start of the whole training;
-/// - `update`: updates before it ended, counted in the same way;
-/// - `seed`: its environment seed, which determines its track, terrain or level;
-/// - `score`: the sum of the environment's own rewards;
-/// - `length`: its steps;
-/// - `u_signal`: the mean over its steps of the ensemble's reward (+1 or -1, before scaling); empty for `ppo`.
-pub const EPISODE_COLUMNS: [&str; 7] = ["episode", "step", "update", "seed", "score", "length", "u_signal"];
-
 /// Parameters of rollouts and training that `ppo` and `dril` share, flattened into theirs together with [`UpdateParams`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]

@@ -7,6 +7,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::artifacts::POLICY;
+use crate::columns::{EPISODE_COLUMNS, UPDATE_COLUMNS};
 use crate::default::defaults;
 use crate::on_policy::{self, OnPolicyParams};
 use crate::update::NO_PRECISION;
@@ -150,7 +151,9 @@ impl Describe for Ppo {
         ports
             .output("policy", POLICY, "safetensors", "the trained policy")
             .output("log", Artifact::TRAINING_LOG, "csv", "one row per update")
+            .columns(&UPDATE_COLUMNS)
             .output("episodes", Artifact::TRAINING_LOG, "csv", "one row per training episode")
+            .columns(&EPISODE_COLUMNS)
     }
 
     fn needs(params: &PpoParams) -> Needs {

@@ -229,6 +229,24 @@ fn dril_writes_the_weights_before_and_after_the_best_update() {
 }
 
 #[test]
+fn what_trainings_log_is_known_before_they_run() {
+    for (name, output, column) in [
+        ("ppo", "log", "score_mean_10"),
+        ("ppo", "episodes", "u_signal"),
+        ("dril", "log", "peak_score"),
+        ("dril", "log", "update"),
+        ("dril", "episodes", "score"),
+        ("bc", "log", "val_loss"),
+        ("ensemble", "log", "val_loss"),
+        ("evaluate", "scores", "score"),
+    ] {
+        let ports = kind(name).ports(&normalize(name, &json!({})).unwrap()).unwrap();
+        let columns = ports.find_output(output).unwrap().columns.clone().unwrap();
+        assert!(columns.contains(&column), "{name}.{output}: {columns:?}");
+    }
+}
+
+#[test]
 fn the_reward_may_be_constant() {
     assert_eq!(normalize("dril", &json!({ "reward": "constant" })).unwrap()["reward"], "constant");
     assert_eq!(normalize("dril", &json!({})).unwrap()["reward"], "plus-minus-one");

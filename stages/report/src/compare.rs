@@ -4,7 +4,7 @@
 //! precise than the difference of two means.
 
 use dril_stage_api::scores::{self, ScoreRow};
-use dril_stage_api::{Artifact, Ctx, Describe, InputItem, Ports, Problems, Stage, StageError};
+use dril_stage_api::{Artifact, Ctx, Describe, FanIns, InputItem, Ports, Problems, Stage, StageError};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -79,6 +79,10 @@ impl Describe for Compare {
             let message = format!("`{}` is a column of the table itself, expected a label", params.axis);
             problems.add("axis", message);
         }
+    }
+
+    fn check_labels(params: &CompareParams, inputs: &FanIns<'_>, problems: &mut Problems) {
+        inputs.require(PORT, &params.axis, "axis", problems);
     }
 
     fn ports(_: &CompareParams) -> Ports {

@@ -1,6 +1,6 @@
 //! The kind `leaderboard`: published results of other methods, and under them the evaluations of this run.
 
-use dril_stage_api::{Artifact, Ctx, Describe, Ports, Problems, Stage, StageError};
+use dril_stage_api::{Artifact, Ctx, Describe, FanIns, Ports, Problems, Stage, StageError};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -13,6 +13,8 @@ use crate::score::Score;
 
 /// The label that names a row; a named fan-in of the pipeline file gives it to its items.
 const NAME: &str = "name";
+/// What to do about an evaluation without it.
+const NAMELESS: &str = "give each item a name in the pipeline file, as in `scores: { some name: stage }`";
 const COLUMNS: [&str; 8] =
     ["algorithm", "mean", "std", "episodes", "diverged", "source", "reference_mean", "reference_std"];
 
@@ -72,6 +74,12 @@ impl Describe for Leaderboard {
         caption::check_reference_name(&params.reference_name, problems);
     }
 
+    fn check_labels(_: &LeaderboardParams, inputs: &FanIns<'_>, problems: &mut Problems) {
+        if inputs.at(samples::PORT).iter().any(|incoming| !incoming.labels.contains_key(NAME)) {
+            problems.add("", format!("an evaluation at `{}` has no name; {NAMELESS}", samples::PORT));
+        }
+    }
+
     fn ports(_: &LeaderboardParams) -> Ports {
         Ports::new()
             .many(
@@ -94,8 +102,7 @@ impl Stage for Leaderboard {
 
     fn run(params: &LeaderboardParams, ctx: &mut Ctx<'_>) -> Result<(), StageError> {
         let samples = samples::read(ctx)?;
-        let hint = "give each item a name in the pipeline file, as in `scores: { some name: stage }`";
-        let groups = samples::pool(&samples, &[NAME.to_owned()], hint)?;
+        let groups = samples::pool(&samples, &[NAME.to_owned()], NAMELESS)?;
         let reference = Reference::read(ctx.input(reference::PORT)?, &["algorithm", "source"])?;
         let entries = entries(&groups, &reference, &params.reference_name);
         ctx.write_output("csv", csv_text(params, &entries).map_err(StageError::failed)?)?;

@@ -4,7 +4,7 @@
 
 use std::path::Path;
 
-use dril_stage_api::{Artifact, Ctx, Describe, InputItem, Ports, Problems, Stage, StageError};
+use dril_stage_api::{Artifact, Ctx, Describe, FanIns, InputItem, Ports, Problems, Stage, StageError};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -94,6 +94,12 @@ impl Describe for Table {
             if params.columns[..n].contains(column) {
                 problems.add(&path, format!("`{column}` is in `columns` twice, expected it once"));
             }
+        }
+    }
+
+    fn check_labels(params: &TableParams, inputs: &FanIns<'_>, problems: &mut Problems) {
+        for (n, key) in params.keys.iter().enumerate() {
+            inputs.require(samples::PORT, key, &format!("keys.{n}"), problems);
         }
     }
 

@@ -3,7 +3,7 @@
 //! The state between two batches is small (counters, weights and Adam's moments), so training can stop after any batch
 //! and continue bit-identically.
 
-use dril_kinds::Validation;
+use dril_kinds::{EPOCH_COLUMNS, Validation};
 use dril_stage_api::{Ctx, Seed, StageError, StreamRng};
 use serde::{Deserialize, Serialize};
 
@@ -50,10 +50,6 @@ pub struct Schedule {
 
 /// Transitions in one forward pass of validation.
 const VALIDATION_BATCH: usize = 250;
-
-/// The log columns. Losses are mean squared errors of clamped actions: over the batches of the epoch, and over the
-/// held-out transitions after it.
-const COLUMNS: [&str; 6] = ["epoch", "step", "train_loss", "val_loss", "best_val_loss", "learning_rate"];
 
 /// Trains `model` on the transitions of `parts` and returns the log; the model then has the best or the last weights (see
 /// [`Schedule::patience`]).
@@ -133,7 +129,7 @@ impl<'m, M: Imitator> Training<'m, M> {
     fn new(model: &'m mut M, schedule: Schedule, batches: (usize, usize)) -> Self {
         let optimizer = Optimizer::new(model.params(), model.trained(), OptimizerSettings::default());
         let gradients = Gradients::new(model.params());
-        let log = TrainingLog::new(&COLUMNS);
+        let log = TrainingLog::new(&EPOCH_COLUMNS);
         let at = Position { epoch: 0, batch: 0, loss: 0.0, steps: 0, best: None, log };
         Self { model, schedule, batches, optimizer, gradients, at, best_weights: Vec::new() }
     }

@@ -4,7 +4,7 @@
 //! The whole state can be saved after every step and every minibatch, and training continues from it bit-identically.
 
 use dril_envs::VecEnv;
-use dril_kinds::{Algorithm, OnDivergence, OnPolicyParams, UpdateParams};
+use dril_kinds::{Algorithm, OnDivergence, OnPolicyParams, UPDATE_COLUMNS, UpdateParams};
 use dril_stage_api::{Ctx, StageError, StreamRng};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
@@ -187,25 +187,6 @@ struct State<P, S> {
     hooks: S,
 }
 
-/// The log columns of every on-policy training. `diverged` is 1 in the last row of a training that stopped because its
-/// update diverged, else 0.
-pub const LOG_COLUMNS: [&str; 14] = [
-    "update",
-    "step",
-    "episodes",
-    "score_last",
-    "score_mean_10",
-    "score_mean_100",
-    "policy_loss",
-    "value_loss",
-    "entropy",
-    "explained_variance",
-    "clip_fraction",
-    "approx_kl",
-    "learning_rate",
-    "diverged",
-];
-
 impl<H: Hooks> Training<H> {
     /// Starts a training, or resumes it from its checkpoint. `hooks` creates the algorithm's hooks, from the state in the
     /// checkpoint if there is one.
@@ -254,7 +235,7 @@ impl<H: Hooks> Training<H> {
             Algorithm::A2c => OptimizerSettings::rmsprop(0.99, epsilon),
         };
         let normalizer = || RewardNormalizer::clipped(settings.n_envs(), settings.update.gamma);
-        let columns = [&LOG_COLUMNS[..], H::COLUMNS].concat();
+        let columns = [&UPDATE_COLUMNS[..], H::COLUMNS].concat();
         Self {
             optimizer: Optimizer::new(policy.params(), policy.params().ids().collect(), optimizer),
             gradients: Gradients::new(policy.params()),
@@ -400,7 +381,7 @@ impl<H: Hooks> Training<H> {
         self.progress.t = 0;
     }
 
-    /// The log row of an update, in the order of [`LOG_COLUMNS`].
+    /// The log row of an update, in the order of [`UPDATE_COLUMNS`].
     fn log_row(&self, stats: &UpdateStats, diverged: bool) -> [f64; 14] {
         let Progress { updates_done, scores, .. } = &self.progress;
         [

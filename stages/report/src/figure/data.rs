@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, HashMap};
 
-use dril_stage_api::{InputItem, StageError, lines};
+use dril_stage_api::{FanIns, Incoming, InputItem, Problems, StageError, lines};
 
 use super::params::{FigureParams, Measure};
 
@@ -51,6 +51,38 @@ pub(crate) struct Data {
     pub(crate) colour: Vec<String>,
 }
 
+/// True for what a figure has besides the labels of its files.
+pub(crate) fn is_pseudo(label: &str) -> bool {
+    label == "measure" || label == "column"
+}
+
+/// The lists whose labels each file needs, or a column of that name, with the names of the parameters.
+fn keys(params: &FigureParams) -> [(&'static str, &Vec<String>); 4] {
+    let FigureParams { rows, columns, colour, categories, .. } = params;
+    [("rows", rows), ("columns", columns), ("colour", colour), ("categories", categories)]
+}
+
+/// Reports labels that a file is certain to lack, because its columns are known, too.
+pub(crate) fn check_labels(params: &FigureParams, inputs: &FanIns<'_>, problems: &mut Problems) {
+    for (field, list) in keys(params) {
+        for (n, key) in list.iter().enumerate().filter(|(_, key)| !is_pseudo(key)) {
+            let lacks = |incoming: &Incoming<'_>| {
+                let has_column = incoming.columns.is_none_or(|columns| columns.contains(&key.as_str()));
+                !has_column && !incoming.labels.contains_key(key)
+            };
+            let path = format!("{field}.{n}");
+            if !inputs.at(PORT).iter().any(lacks) {
+                continue;
+            }
+            if inputs.has(PORT, key) {
+                inputs.require(PORT, key, &path, problems);
+            } else {
+                inputs.unknown(PORT, key, &path, problems);
+            }
+        }
+    }
+}
+
 /// Reads the files.
 ///
 /// # Errors
@@ -79,8 +111,7 @@ pub(crate) fn file(
     let unreadable = |error: csv::Error| format!("not a CSV file: {}", lines::explain(&error, bytes, None));
     let headers = reader.headers().map_err(unreadable)?.clone();
     let at = |name: &str| headers.iter().position(|header| header == name);
-    let listed = || headers.iter().map(|header| format!("`{header}`")).collect::<Vec<_>>().join(", ");
-    let missing = |name: &str| format!("has no column `{name}`; its columns are {}", listed());
+    let missing = |name: &str| format!("has no column `{name}`; its columns are {}", listed(&headers));
     let x = params.x.as_deref().map(|name| at(name).ok_or_else(|| missing(name))).transpose()?;
     let mut wanted: Vec<(&Measure, usize)> = Vec::new();
     let mut marks: Vec<Option<usize>> = Vec::new();
@@ -99,17 +130,7 @@ pub(crate) fn file(
             wanted.extend(found.into_iter().map(|at| (measure, at)));
         }
     }
-    // Labels that no axis of the matrix has may be columns of the file.
-    let keys = [&params.rows, &params.columns, &params.colour, &params.categories];
-    let mut splits: Vec<(&String, usize)> = Vec::new();
-    for key in keys.into_iter().flatten() {
-        if !labels.contains_key(key) && key != "measure" && key != "column" {
-            let at = at(key).ok_or_else(|| {
-                format!("has neither a label nor a column `{key}`; its columns are {}", listed())
-            })?;
-            splits.push((key, at));
-        }
-    }
+    let splits = splits(params, labels, &headers)?;
     // Labels of `pool` may be absent, so that one figure serves one training or several. Columns do not serve as labels
     // here: the column `seed` in a file of scores is the seed of each episode.
     let mut strands: Vec<Strand> = Vec::new();
@@ -142,6 +163,27 @@ pub(crate) fn file(
         }
     }
     Ok(strands)
+}
+
+/// Labels that no axis of the matrix has and that are columns of the file, with the places of these.
+fn splits<'p>(
+    params: &'p FigureParams,
+    labels: &BTreeMap<String, String>,
+    headers: &csv::StringRecord,
+) -> Result<Vec<(&'p String, usize)>, String> {
+    let keys = keys(params).into_iter().flat_map(|(_, list)| list);
+    let split = |key: &'p String| match headers.iter().position(|header| header == key) {
+        Some(at) => Ok((key, at)),
+        None => {
+            let columns = listed(headers);
+            Err(format!("has neither a label nor a column `{key}`; its columns are {columns}"))
+        }
+    };
+    keys.filter(|key| !labels.contains_key(*key) && !is_pseudo(key)).map(split).collect()
+}
+
+fn listed(headers: &csv::StringRecord) -> String {
+    headers.iter().map(|header| format!("`{header}`")).collect::<Vec<_>>().join(", ")
 }
 
 /// The number in a cell; `None` for empty cells and numbers that are not finite.

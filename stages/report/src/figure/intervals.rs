@@ -4,7 +4,7 @@ use std::path::Path;
 
 use dril_stage_api::StageError;
 
-use super::data::{Data, PORT, Panel, Strand};
+use super::data::{Data, PORT, Panel, Strand, is_pseudo};
 use super::params::FigureParams;
 use crate::inference::Estimate;
 use crate::reference::Reference;
@@ -130,10 +130,6 @@ fn only_trainings(params: &FigureParams, keys: &[&str], entries: &[&[&Strand]]) 
          trainings of one kind: add a label to `pool` if its values are trainings, else to `categories`, `colour`, \
          `rows` or `columns`, or connect one of its values only"
     )))
-}
-
-fn is_pseudo(label: &str) -> bool {
-    label == "measure" || label == "column"
 }
 
 fn values<'n>(strand: &Strand, names: impl Iterator<Item = &'n str>) -> Vec<String> {

@@ -29,7 +29,7 @@ mod ticks;
 
 use std::path::Path;
 
-use dril_stage_api::{Artifact, Ctx, Describe, InputItem, Ports, Problems, Stage, StageError};
+use dril_stage_api::{Artifact, Ctx, Describe, FanIns, InputItem, Ports, Problems, Stage, StageError};
 
 use crate::reference;
 pub use params::{
@@ -58,6 +58,10 @@ impl Describe for Figure {
 
     fn check(params: &FigureParams, problems: &mut Problems) {
         params.check(problems);
+    }
+
+    fn check_labels(params: &FigureParams, inputs: &FanIns<'_>, problems: &mut Problems) {
+        data::check_labels(&params.filled(), inputs, problems);
     }
 
     fn ports(_: &FigureParams) -> Ports {

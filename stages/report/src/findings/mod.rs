@@ -5,7 +5,7 @@ mod page;
 mod params;
 mod test;
 
-use dril_stage_api::{Artifact, Ctx, Describe, Ports, Problems, Stage, StageError};
+use dril_stage_api::{Artifact, Ctx, Describe, FanIns, Ports, Problems, Stage, StageError};
 
 use crate::{reference, samples};
 pub use params::{Claim, FindingsParams, Relation, Value};
@@ -33,6 +33,10 @@ impl Describe for Findings {
 
     fn check(params: &FindingsParams, problems: &mut Problems) {
         params.check(problems);
+    }
+
+    fn check_labels(params: &FindingsParams, inputs: &FanIns<'_>, problems: &mut Problems) {
+        params.check_labels(inputs, problems);
     }
 
     fn ports(_: &FindingsParams) -> Ports {

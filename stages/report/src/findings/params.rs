@@ -2,11 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use dril_stage_api::Problems;
+use dril_stage_api::{FanIns, Problems};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::markdown::one_line;
+use crate::samples::PORT;
 
 /// Parameters of [`Findings`](super::Findings).
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
@@ -110,6 +111,24 @@ impl Relation {
 }
 
 impl FindingsParams {
+    /// Reports labels that leave a claim without a cell.
+    pub(crate) fn check_labels(&self, inputs: &FanIns<'_>, problems: &mut Problems) {
+        for (n, label) in self.trainings.iter().enumerate() {
+            inputs.require(PORT, label, &format!("trainings.{n}"), problems);
+        }
+        if inputs.at(PORT).is_empty() {
+            return;
+        }
+        for (n, claim) in self.claims.iter().enumerate() {
+            for (side, labels) in [("left", &claim.left), ("right", &claim.right), ("where", &claim.both)] {
+                // Cells may differ in their labels, but a side without any cell is an error.
+                for label in labels.keys().filter(|label| !inputs.has(PORT, label)) {
+                    inputs.unknown(PORT, label, &format!("claims.{n}.{side}.{label}"), problems);
+                }
+            }
+        }
+    }
+
     pub(crate) fn check(&self, problems: &mut Problems) {
         let Self { title, profile, full_profile, note, .. } = self;
         let full_profile = full_profile.as_deref();

@@ -10,6 +10,7 @@ mod findings;
 mod html;
 mod html_limits;
 mod lab;
+mod labels;
 mod leaderboard;
 mod select;
 mod table;

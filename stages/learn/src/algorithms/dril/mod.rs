@@ -13,7 +13,7 @@ mod tests;
 mod u_signal;
 
 use dril_envs::VecEnv;
-use dril_kinds::DrilParams;
+use dril_kinds::{DRIL_COLUMNS, DrilParams};
 use dril_stage_api::{Ctx, Stage, StageError};
 use serde::{Deserialize, Serialize};
 
@@ -167,10 +167,7 @@ impl<'a> Dril<'a> {
 impl Hooks for Dril<'_> {
     type State = State;
 
-    /// The last three describe the highest moving average so far: before which update, its value, and over how many
-    /// episodes (fewer than `peak_window` while fewer have ended; empty while none has).
-    const COLUMNS: &'static [&'static str] =
-        &["u_signal", "disagreement", "bc_loss", "peak_update", "peak_score", "peak_episodes"];
+    const COLUMNS: &'static [&'static str] = &DRIL_COLUMNS;
 
     fn episode_ended(&mut self, score: f64) {
         self.tracker.finished(score);
