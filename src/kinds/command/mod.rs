@@ -188,14 +188,26 @@ fn check_command(params: &CommandParams, problems: &mut Problems) {
             Ok(_) if text.contains('\0') => {
                 problems.add(&path, "it contains a zero byte, which a command cannot")
             }
-            Ok(pieces) => {
-                for piece in pieces {
-                    if let Piece::Output(name) = piece
-                        && !params.outputs.contains_key(name)
-                    {
-                        problems.add(&path, format!("`{{outputs.{name}}}` is not declared under `outputs`"));
-                    }
-                }
+            Ok(pieces) => check_pieces(&pieces, &path, params, problems),
+        }
+    }
+}
+
+fn check_pieces(pieces: &[Piece<'_>], path: &str, params: &CommandParams, problems: &mut Problems) {
+    for (at, piece) in pieces.iter().enumerate() {
+        match piece {
+            Piece::Output(name) if !params.outputs.contains_key(*name) => {
+                problems.add(path, format!("`{{outputs.{name}}}` is not declared under `outputs`"));
+            }
+            Piece::Input(name) if params.input(name).many && !template::is_word(pieces, at) => {
+                problems.add(
+                    path,
+                    format!(
+                        "`{{inputs.{name}}}` stands for several paths, and is a part of a longer word here, expected it as a \
+                         word of its own; `{}/` is the folder with all of them, and `inputs.json` lists them",
+                        params.input_path(name)
+                    ),
+                );
             }
         }
     }
@@ -237,6 +249,24 @@ fn check_names(params: &CommandParams, problems: &mut Problems) {
                 &format!("outputs.{name}"),
                 "an output is `any`, expected a specific type such as `file` or `table`",
             );
+        }
+    }
+    check_folders(params, problems);
+}
+
+/// A `/` at the end of a path says that it is a folder, and its type must not say otherwise.
+fn check_folders(params: &CommandParams, problems: &mut Problems) {
+    let inputs = params.inputs.iter().filter(|(_, input)| !input.many);
+    let inputs = inputs.map(|(name, input)| ("inputs", name, input.artifact, &input.path));
+    let outputs = params.outputs.iter();
+    let outputs = outputs.map(|(name, output)| ("outputs", name, output.artifact, &output.path));
+    for (map, name, artifact, path) in inputs.chain(outputs) {
+        let file = artifact.filter(|artifact| ![Artifact::FOLDER, Artifact::ANY].contains(artifact));
+        if let (Some(artifact), Some(path)) = (file, path.as_ref().filter(|path| path.ends_with('/'))) {
+            let message = format!(
+                "`{path}` ends with `/`, which is a folder, but its type is `{artifact}`, expected the path of one file"
+            );
+            problems.add(&format!("{map}.{name}"), message);
         }
     }
 }

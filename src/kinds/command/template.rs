@@ -63,9 +63,16 @@ pub(super) fn pieces(text: &str) -> Result<Vec<Piece<'_>>, String> {
         } else if let Some(piece) = piece {
             pieces.push(piece);
         } else {
-            return Err(format!(
-                "`{{{name}}}` is not one of {FORMS}; write `{{{{{name}}}}}` if it is meant as text"
-            ));
+            return Err(match name.split_once('/') {
+                Some((first, rest)) => format!(
+                    "`{{{name}}}` has a path in its braces, expected a name: a file in a folder is `{{{first}}}/{rest}`, and the \
+                     path of an input or output is declared under `inputs` or `outputs`; write `{{{{{name}}}}}` if it is \
+                     meant as text"
+                ),
+                None => format!(
+                    "`{{{name}}}` is not one of {FORMS}; write `{{{{{name}}}}}` if it is meant as text"
+                ),
+            });
         }
     }
     pieces.push(Piece::Text(&text[begin..]));
@@ -89,7 +96,7 @@ pub(super) fn literal(text: &str) -> String {
 /// The name in the braces that open at `open`; `None` where the braces contain something else.
 fn braced(text: &str, open: usize) -> Option<Range<usize>> {
     let rest = &text[open + 1..];
-    let end = rest.find(|c: char| !(c.is_ascii_alphanumeric() || "_-.".contains(c)))?;
+    let end = rest.find(|c: char| !(c.is_ascii_alphanumeric() || "_-./".contains(c)))?;
     (end > 0 && rest[end..].starts_with('}')).then(|| open + 1..open + 1 + end)
 }
 
@@ -111,9 +118,23 @@ fn is_slip(name: &str) -> bool {
             || ["checkpoint", "checkpoints", "seed"].contains(&first)
     };
     match name.split_once('.') {
+        _ if name.starts_with("checkpoints/") => true,
         Some((first, _)) => near(first),
         None => ["input", "inputs", "output", "outputs", "checkpoint"].contains(&name),
     }
+}
+
+/// True where the piece `at` is a word of its own in the eyes of a shell or an interpreter: nothing but blanks, quotes,
+/// parentheses and operators of a shell stand beside it.
+pub(super) fn is_word(pieces: &[Piece<'_>], at: usize) -> bool {
+    let beside = |c: char| c.is_whitespace() || "\"'`();|&<>".contains(c);
+    let is_end = |piece: Option<&Piece<'_>>, last: fn(&str) -> Option<char>| match piece {
+        None => true,
+        Some(Piece::Text(text)) => last(text).is_none_or(beside),
+        Some(_) => false,
+    };
+    let before = at.checked_sub(1).and_then(|before| pieces.get(before));
+    is_end(before, |text| text.chars().next_back()) && is_end(pieces.get(at + 1), |text| text.chars().next())
 }
 
 /// A letter, then letters, digits, `-` and `_`: as everything in a pipeline file is named.
@@ -160,6 +181,7 @@ mod tests {
             ("${seed} $${inputs.a} $ {seed}", "${seed} $${inputs.a} $ <seed>"),
             ("{speed} {sed} {seeds} {feed.x}", "{speed} {sed} {seeds} {feed.x}"),
             ("{{input.a}} {{inputs}} {{speed}}", "{input.a} {inputs} {{speed}}"),
+            ("{a/b} {seed/2} {{outputs.a/b.svg}}", "{a/b} {seed/2} {outputs.a/b.svg}"),
         ] {
             assert_eq!(shown(text), expected, "{text}");
         }
@@ -179,14 +201,46 @@ mod tests {
             "{checkpoint}",
             "{seed.x}",
             "{inputs.a.b}",
+            "{outputs.plots/x.svg}",
+            "{inputs.data/}",
+            "{checkpoints/last}",
         ] {
             assert!(shown(text).starts_with("error: `{"), "{text}: {}", shown(text));
         }
     }
 
+    #[test]
+    fn a_word_of_its_own_stands_between_blanks_quotes_and_operators() {
+        let is_word = |text: &str| {
+            let pieces = pieces(text).unwrap();
+            let at = pieces.iter().position(|piece| matches!(piece, Piece::Input(_))).unwrap();
+            is_word(&pieces, at)
+        };
+        for text in [
+            "{inputs.a}",
+            "cat {inputs.a} | wc",
+            "'{inputs.a}'",
+            "x=\"{inputs.a}\"",
+            "$(cat {inputs.a})",
+            "all=({inputs.a});",
+        ] {
+            assert!(is_word(text), "{text}");
+        }
+        for text in [
+            "--data={inputs.a}",
+            "{inputs.a}/*",
+            "-I{inputs.a}",
+            "{inputs.a},",
+            "{seed}{inputs.a}",
+            "a:{inputs.a}",
+        ] {
+            assert!(!is_word(text), "{text}");
+        }
+    }
+
     fn part() -> impl Strategy<Value = &'static str> {
         prop::sample::select(vec![
-            "{", "}", "{{", "}}", "$", "seed", "inputs.a", "input", "output.x", "x", " ü", ".",
+            "{", "}", "{{", "}}", "$", "seed", "inputs.a", "input", "output.x", "x", " ü", ".", "/",
         ])
     }
 
