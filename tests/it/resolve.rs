@@ -168,6 +168,19 @@ fn a_later_set_of_the_same_field_replaces_an_earlier_sweep() {
 }
 
 #[test]
+fn the_order_of_the_variables_that_are_passed_to_a_command_does_not_change_its_parameters() {
+    let params = |names: &str| {
+        let text = format!(
+            "stages: {{ c: {{ kind: command, with: {{ run: [x], outputs: {{ o: ~ }}, pass_env: {names} }} }} }}"
+        );
+        instance(&graph(&text), "c").params.clone()
+    };
+    assert_eq!(params("[TOKEN, PROXY]"), params("[PROXY, TOKEN]"));
+    assert_eq!(params("[TOKEN, PROXY, TOKEN]"), params("[PROXY, TOKEN]"));
+    assert_ne!(params("[TOKEN]"), params("[PROXY, TOKEN]"));
+}
+
+#[test]
 fn the_notation_of_a_commands_files_does_not_change_its_parameters() {
     let params = |outputs: &str, inputs: &str| {
         let text = format!(

@@ -116,6 +116,8 @@ impl Describe for Command {
         // An input that the command uses needs no entry of its own.
         let used: BTreeSet<String> = params.used_inputs().map(str::to_owned).collect();
         params.inputs.retain(|name, input| !used.contains(name) || *input != CommandInput::default());
+        params.pass_env.sort_unstable();
+        params.pass_env.dedup();
     }
 
     fn literal(text: &str) -> String {
@@ -209,6 +211,7 @@ fn check_pieces(pieces: &[Piece<'_>], path: &str, params: &CommandParams, proble
                     ),
                 );
             }
+            _ => {}
         }
     }
 }
