@@ -19,6 +19,7 @@ pub(super) struct Axis {
     places: HashMap<Arc<str>, usize>,
     /// Values that a profile or `--set` removed, or the stage's own list.
     gone: HashSet<Arc<str>>,
+    has_fields: bool,
 }
 
 /// A value on an axis.
@@ -66,7 +67,8 @@ impl Axis {
         for (place, value) in values.iter().enumerate() {
             places.entry(value.label.clone()).or_insert(place);
         }
-        Self { name, values, places, gone }
+        let has_fields = values.iter().any(|value| value.fields.is_some());
+        Self { name, values, places, gone, has_fields }
     }
 
     /// The values, in order.
@@ -99,7 +101,7 @@ impl Axis {
 
     /// True where some value has fields: then no value can be added without them.
     pub fn has_fields(&self) -> bool {
-        self.values.iter().any(|value| value.fields.is_some())
+        self.has_fields
     }
 }
 

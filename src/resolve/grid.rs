@@ -1,7 +1,7 @@
 //! The instances of a stage, in order: the product of the axes in its matrix (axes of a `zip` together), without the combinations
 //! that `exclude` matches, plus those of `include`; of these, those for which `when` is true.
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::{BTreeSet, HashMap, HashSet};
 
 use super::axes::{Axis, AxisValue};
 use super::context::{MAX_INSTANCES, ResolveContext};
@@ -277,6 +277,8 @@ fn include(
 ) -> Option<()> {
     let node = filler.fill(node, &context.scope(Vec::new(), "`include`"))?;
     let mut fine = true;
+    let mut known: HashSet<Cell> = cells.iter().cloned().collect();
+    let mut included: HashSet<Cell> = HashSet::new();
     for entries in maps(&node, "include", filler)? {
         // Of each axis: whether it is named, and then its position, if its value was not removed.
         let mut cell: Vec<Option<Option<u32>>> = vec![None; axes.len()];
@@ -301,16 +303,14 @@ fn include(
         };
         let Some(cell) = cell.into_iter().collect::<Option<Vec<u32>>>() else { continue };
         let cell = cell.into_boxed_slice();
-        if cells.contains(&cell) {
+        if !included.insert(cell.clone()) {
             fine = false;
             filler.problems.add(|| {
-                Problem::new(
-                    at,
-                    format!("stage `{}` has this combination of `include` already", stage.name.text),
-                )
-                .hint("remove it")
+                let message = format!("`include` of stage `{}` has this combination twice", stage.name.text);
+                Problem::new(at, message).hint("remove one of the two")
             });
-        } else {
+        } else if known.insert(cell.clone()) {
+            // What the product has too is no mistake: under another profile it may lack it.
             cells.push(cell);
         }
     }

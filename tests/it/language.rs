@@ -49,6 +49,16 @@ fn include_skips_a_value_that_a_profile_or_set_removed() {
 }
 
 #[test]
+fn a_combination_of_include_that_the_product_has_under_one_profile_counts_once() {
+    let sealed = matrix("matrix: [a, b, { include: [{ a: 1, b: x }, { a: 2, b: z }] }]");
+    let small = ["s[a=1, b=x]", "s[a=1, b=y]", "t"];
+    assert_eq!(instances(&sealed, " --profile small"), small);
+    let sealed = matrix("matrix: [a, { include: { a: 7 } }]");
+    assert_eq!(instances(&sealed, " --set axes.a=7,8"), ["s[a=7]", "s[a=8]", "t"]);
+    assert_eq!(instances(&sealed, ""), ["s[a=1]", "s[a=2]", "s[a=7]", "t"]);
+}
+
+#[test]
 fn when_lets_through_by_axis_field_and_profile() {
     let sealed = matrix("matrix: [e, a], when: [{ e.n: 2, a: { not: 1 } }, { profile: small }]");
     assert_eq!(instances(&sealed, ""), ["s[e=g, a=2]", "t"]);
