@@ -25,6 +25,11 @@ pub(crate) fn check_decimals(decimals: u8, problems: &mut Problems) {
     problems.range("decimals", decimals, ..=MOST_DECIMALS, &format!("0 to {MOST_DECIMALS}"));
 }
 
+/// True for the default of `decimals`, which is left out where a stage had its results before the parameter existed.
+pub(crate) fn is_default(decimals: &u8) -> bool {
+    *decimals == 0
+}
+
 /// What the published numbers are called unless the pipeline file says whose they are.
 pub(crate) fn reference_name() -> String {
     "reference".to_owned()

@@ -3,7 +3,7 @@
 use std::cmp::Ordering;
 use std::collections::BTreeSet;
 
-use dril_stage_api::{Artifact, Ctx, Describe, InputItem, Ports, Stage, StageError};
+use dril_stage_api::{Artifact, Ctx, Describe, InputItem, Ports, Problems, Stage, StageError};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -33,6 +33,9 @@ pub enum By {
 pub struct SelectParams {
     /// The criterion.
     pub by: By,
+    /// Decimals of the scores, 0 to 6. The ranking has two more, as every CSV file.
+    #[serde(skip_serializing_if = "crate::caption::is_default")]
+    pub decimals: u8,
 }
 
 /// Selects the policy with the best evaluation. Ties go to the first in the order of the matrix.
@@ -43,7 +46,7 @@ pub struct SelectParams {
 /// Outputs: `policy`, a copy of the chosen file, byte for byte; and `ranking`, a CSV file with the labels in
 /// alphabetical order, then `mean,std,episodes,diverged,chosen`, the best candidate first. `diverged` is 1 for a candidate
 /// whose training diverged: its last finite weights were evaluated, and it can be chosen like any other. The comparison
-/// uses all digits of the means, of which the ranking shows two decimals.
+/// uses all digits of the means, of which the ranking shows `decimals` + 2 decimals.
 pub struct Select;
 
 impl Describe for Select {
@@ -52,6 +55,10 @@ impl Describe for Select {
     const ABOUT: &'static str = "selects the policy with the best evaluation";
     const SEEDED: bool = false;
     type Params = SelectParams;
+
+    fn check(params: &SelectParams, problems: &mut Problems) {
+        crate::caption::check_decimals(params.decimals, problems);
+    }
 
     fn ports(_: &SelectParams) -> Ports {
         Ports::new()
@@ -78,7 +85,7 @@ impl Stage for Select {
         let path = best.candidate.path;
         let bytes = std::fs::read(path).map_err(StageError::io("cannot read", path))?;
         ctx.write_output("policy", bytes)?;
-        ctx.write_output("ranking", ranking(&ranked)?)
+        ctx.write_output("ranking", ranking(&ranked, params.decimals)?)
     }
 }
 
@@ -132,7 +139,7 @@ fn rank(mut judged: Vec<Judged<'_>>, by: By) -> Vec<Judged<'_>> {
     judged
 }
 
-fn ranking(ranked: &[Judged<'_>]) -> Result<Vec<u8>, StageError> {
+fn ranking(ranked: &[Judged<'_>], decimals: u8) -> Result<Vec<u8>, StageError> {
     let axes: BTreeSet<&str> =
         ranked.iter().flat_map(|judged| judged.candidate.labels.keys()).map(String::as_str).collect();
     if let Some(axis) = axes.iter().find(|axis| VALUES.contains(axis)) {
@@ -140,15 +147,19 @@ fn ranking(ranked: &[Judged<'_>]) -> Result<Vec<u8>, StageError> {
             format!("an axis is called `{axis}`, which is a column of the ranking; rename the axis");
         return Err(StageError::failed(message));
     }
-    ranking_text(ranked, &axes).map_err(StageError::failed)
+    ranking_text(ranked, &axes, decimals).map_err(StageError::failed)
 }
 
-fn ranking_text(ranked: &[Judged<'_>], axes: &BTreeSet<&str>) -> Result<Vec<u8>, Box<dyn std::error::Error>> {
+fn ranking_text(
+    ranked: &[Judged<'_>],
+    axes: &BTreeSet<&str>,
+    decimals: u8,
+) -> Result<Vec<u8>, Box<dyn std::error::Error>> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     writer.write_record(axes.iter().copied().chain(VALUES))?;
     for (n, Judged { candidate, summary, diverged }) in ranked.iter().enumerate() {
         let labels = axes.iter().map(|axis| candidate.labels.get(*axis).map_or("", String::as_str));
-        let (mean, std) = (precise(summary.mean, 0), precise(summary.std, 0));
+        let (mean, std) = (precise(summary.mean, decimals), precise(summary.std, decimals));
         let (episodes, diverged) = (summary.episodes.to_string(), u8::from(*diverged).to_string());
         let chosen = (n == 0).to_string();
         writer.write_record(labels.chain([mean.as_str(), &std, &episodes, &diverged, &chosen]))?;

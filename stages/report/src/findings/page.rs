@@ -11,7 +11,7 @@ use super::test::{Differences, Measured, Verdict};
 use crate::caption::{Caption, divergence};
 use crate::inference::{self, Over};
 use crate::markdown::{self, Column};
-use crate::number::{fixed, precise, rounded};
+use crate::number::{fixed, precise};
 use crate::reference::{Reference, Row};
 use crate::samples::describe;
 
@@ -79,8 +79,8 @@ fn labels(cells: &[Cell]) -> BTreeSet<&str> {
 }
 
 /// Mean, lower and upper end, as cells of a table.
-fn interval(mean: Option<f64>, half: Option<f64>) -> [String; 3] {
-    let number = |value: Option<f64>| value.map_or_else(String::new, |value| precise(value, 0));
+fn interval(mean: Option<f64>, half: Option<f64>, decimals: u8) -> [String; 3] {
+    let number = |value: Option<f64>| value.map_or_else(String::new, |value| precise(value, decimals));
     let end = |sign: f64| number(mean.zip(half).map(|(mean, half)| mean + sign * half));
     [number(mean), end(-1.0), end(1.0)]
 }
@@ -115,9 +115,10 @@ impl Page<'_> {
         ])?;
         for (n, claim) in self.params.claims.iter().enumerate() {
             let (all, (verdict, p)) = (&self.measured[n].all, self.verdicts[n]);
-            let [mean, low, high] = interval(all.mean(), all.half_width());
+            let [mean, low, high] = interval(all.mean(), all.half_width(), self.params.decimals);
             let published = self.published[n];
-            let reference = interval(published.map(|p| p.difference), published.and_then(|p| p.half_width));
+            let (reported, half) = (published.map(|p| p.difference), published.and_then(|p| p.half_width));
+            let reference = interval(reported, half, self.params.decimals);
             let is = claim.is.words(claim.margin);
             let p = p.map_or_else(String::new, |p| fixed(p, 4));
             let (count, pairs) = (all.values.len().to_string(), self.pairs[n].len().to_string());
@@ -157,7 +158,7 @@ impl Page<'_> {
         for (n, claim) in self.params.claims.iter().enumerate() {
             for (pair, found) in self.pairs[n].iter().zip(&self.measured[n].pairs) {
                 let values = labels.iter().map(|label| pair.shared.get(label).copied().unwrap_or_default());
-                let numbers = interval(found.mean(), found.half_width());
+                let numbers = interval(found.mean(), found.half_width(), self.params.decimals);
                 let count = found.values.len().to_string();
                 let text = markdown::one_line(&claim.claim);
                 let line = [text.as_str()].into_iter().chain(values);
@@ -188,9 +189,10 @@ impl Page<'_> {
     /// The page for people.
     pub(crate) fn markdown(&self) -> String {
         let claims = &self.params.claims;
+        let number = |value: f64| fixed(value, self.params.decimals.into());
         let around = |mean: Option<f64>, half: Option<f64>| match (mean, half) {
-            (Some(mean), Some(half)) => format!("{} ± {}", rounded(mean), rounded(half)),
-            (Some(mean), None) => rounded(mean),
+            (Some(mean), Some(half)) => format!("{} ± {}", number(mean), number(half)),
+            (Some(mean), None) => number(mean),
             _ => String::new(),
         };
         let found = self.measured.iter().map(|found| around(found.all.mean(), found.all.half_width()));

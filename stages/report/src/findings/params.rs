@@ -30,6 +30,9 @@ pub struct FindingsParams {
     /// Number of episodes behind each value of the reference.
     #[serde(default = "hundred")]
     pub reference_episodes: u32,
+    /// Decimals of the differences in the Markdown table, 0 to 6. The CSV files have two more.
+    #[serde(default, skip_serializing_if = "crate::caption::is_default")]
+    pub decimals: u8,
     /// A sentence to print under the table.
     #[serde(default)]
     pub note: String,
@@ -133,6 +136,7 @@ impl FindingsParams {
         let Self { title, profile, full_profile, note, .. } = self;
         let full_profile = full_profile.as_deref();
         crate::caption::Caption { title, profile, full_profile, note }.check(problems);
+        crate::caption::check_decimals(self.decimals, problems);
         if self.claims.is_empty() {
             problems.add("claims", "`claims` is empty, expected at least one");
         }

@@ -12,6 +12,7 @@ use maud::{Markup, html};
 use serde_json::Value;
 
 use super::figures::{Member, Missing, SIDE, figure_of, files, frame};
+use super::grid::decimals;
 use super::{Room, Section, count};
 use crate::inference::{FEWEST_EPISODES, half_width, mean};
 use crate::number::fixed;
@@ -50,7 +51,7 @@ pub(crate) fn section(
         (missing("Not done in A or B", &undone(&pairs)))
         (renamed(&pairs))
         (changes(&pairs))
-        (score_table(&done)?)
+        (score_table(&done, &decimals_by_reader(ours))?)
         (curves(&done, room)?)
     };
     Ok(Section { anchor: "compared", title: "Compared with another run", body })
@@ -261,7 +262,21 @@ impl Scored {
     }
 }
 
-fn score_table(done: &[Pair<'_>]) -> Result<Markup, StageError> {
+/// The most decimals with which a stage of the pipeline shows the scores of each stage: a run does not say of itself whether
+/// its scores are points or accuracies.
+fn decimals_by_reader(outcome: &PipelineOutcome) -> BTreeMap<&str, usize> {
+    let mut most: BTreeMap<&str, usize> = BTreeMap::new();
+    for reader in &outcome.stages {
+        let sources = reader.inputs.iter().filter_map(|input| outcome.stages.get(input.stage?));
+        for source in sources {
+            let known = most.entry(&source.id).or_default();
+            *known = (*known).max(decimals(&reader.params));
+        }
+    }
+    most
+}
+
+fn score_table(done: &[Pair<'_>], decimals: &BTreeMap<&str, usize>) -> Result<Markup, StageError> {
     let mut rows = Vec::new();
     for pair in done {
         for (ours, theirs) in common(pair, Artifact::SCORES) {
@@ -291,7 +306,9 @@ fn score_table(done: &[Pair<'_>]) -> Result<Markup, StageError> {
                         th scope="col" { "evaluation" } th scope="col" class="n" { "A" } th scope="col" class="n" { "B" }
                         th scope="col" class="n" { "difference" }
                     } }
-                    tbody { @for (id, scored) in rows.iter().take(MOST_ROWS) { (score_row(id, scored.as_ref())) } }
+                    tbody { @for (id, scored) in rows.iter().take(MOST_ROWS) {
+                        (score_row(id, scored.as_ref(), 1 + decimals.get(id).copied().unwrap_or(0)))
+                    } }
                 }
             }
             (more(rows.len()))
@@ -299,7 +316,8 @@ fn score_table(done: &[Pair<'_>]) -> Result<Markup, StageError> {
     })
 }
 
-fn score_row(id: &str, scored: Option<&Scored>) -> Markup {
+fn score_row(id: &str, scored: Option<&Scored>, decimals: usize) -> Markup {
+    let signed = |value: f64| signed(value, decimals);
     let Some(Scored { means: [a, b], difference: (difference, half), is_paired }) = scored else {
         return html! { tr class="quiet" { td { code { (id) } } td class="n" colspan="3" { "equal to the bit" } } };
     };
@@ -308,16 +326,16 @@ fn score_row(id: &str, scored: Option<&Scored>) -> Markup {
             td { code { (id) } } td class="n" { (signed(*a)) } td class="n" { (signed(*b)) }
             td class="n" {
                 @if *difference > 0.0 { "+" } (signed(*difference))
-                @if let Some(half) = half { " ± " (fixed(*half, 1)) }
+                @if let Some(half) = half { " ± " (fixed(*half, decimals)) }
                 @if !is_paired { "*" }
             }
         }
     }
 }
 
-/// One decimal, with the typographic minus sign.
-fn signed(value: f64) -> String {
-    fixed(value, 1).replace('-', "−")
+/// With the typographic minus sign.
+fn signed(value: f64, decimals: usize) -> String {
+    fixed(value, decimals).replace('-', "−")
 }
 
 /// Training logs that differ, drawn over each other.

@@ -5,9 +5,9 @@ use dril_stage_api::outcome::PipelineOutcome;
 use maud::{Markup, html};
 
 use super::csvs::Csv;
-use super::grid::DIVERGED;
+use super::grid::{DIVERGED, decimals};
 use super::{Section, link, made, read, title_of};
-use crate::number::rounded;
+use crate::number::fixed;
 
 /// The width and the height of a bar in pixels.
 const BAR: (f64, f64) = (180.0, 22.0);
@@ -18,7 +18,7 @@ pub(crate) fn section(outcome: &PipelineOutcome) -> Result<Option<Section>, Stag
     let mut bodies: Vec<Markup> = Vec::new();
     for (stage, output) in all {
         let Some(csv) = Csv::parse(&read(output)?) else { continue };
-        bodies.push(html! { (table(&csv, &title_of(stage))) p class="quiet" { (link(output)) } });
+        bodies.push(html! { (table(&csv, &title_of(stage), decimals(&stage.params))) p class="quiet" { (link(output)) } });
     }
     let body = html! { @for body in &bodies { (body) } };
     Ok((!bodies.is_empty()).then_some(Section { anchor: "findings", title: "Findings", body }))
@@ -50,10 +50,12 @@ pub(crate) fn rest_on_one_training(outcome: &PipelineOutcome) -> Result<bool, St
     Ok(false)
 }
 
-fn table(csv: &Csv, caption: &str) -> Markup {
+fn table(csv: &Csv, caption: &str, decimals: usize) -> Markup {
     let number = |row: &[String], name: &str| csv.cell(row, name).parse::<f64>().ok();
     let all = csv.rows.iter().flat_map(|row| ["low", "high", "difference"].map(|name| number(row, name)));
-    let reach = all.flatten().map(f64::abs).fold(1.0, f64::max);
+    // A unit of the last place, so that differences of about 0 stay in the middle.
+    let smallest = 10f64.powi(-(decimals as i32));
+    let reach = all.flatten().map(f64::abs).fold(smallest, f64::max);
     let has_reference = csv.rows.iter().any(|row| number(row, "reference").is_some());
     let diverged = |row: &[String]| number(row, "diverged").is_some_and(|count| count > 0.0);
     html! {
@@ -72,9 +74,9 @@ fn table(csv: &Csv, caption: &str) -> Markup {
                         br; small { (csv.cell(row, "is")) }
                     }
                     td { span class=(csv.cell(row, "verdict")) { (csv.cell(row, "verdict")) } }
-                    td { (bar(reach, number(row, "difference"), number(row, "low"), number(row, "high"))) }
+                    td { (bar(reach, ["difference", "low", "high"].map(|name| number(row, name)), decimals)) }
                     @if has_reference {
-                        td class="n" { (around(number(row, "reference"), number(row, "reference_high"))) }
+                        td class="n" { (around(number(row, "reference"), number(row, "reference_high"), decimals)) }
                     }
                     td class="n" { (if csv.cell(row, "p") == "0.0000" { "< 0.0001" } else { csv.cell(row, "p") }) }
                     td class="n" { (csv.cell(row, "positive")) " of " (csv.cell(row, "pairs")) }
@@ -90,23 +92,24 @@ fn table(csv: &Csv, caption: &str) -> Markup {
 }
 
 /// `12 ± 3`; without an upper end only the mean.
-fn around(mean: Option<f64>, high: Option<f64>) -> String {
+fn around(mean: Option<f64>, high: Option<f64>, decimals: usize) -> String {
+    let number = |value: f64| fixed(value, decimals);
     let text = match (mean, high) {
-        (Some(mean), Some(high)) => format!("{} ± {}", rounded(mean), rounded(high - mean)),
-        (Some(mean), None) => rounded(mean),
+        (Some(mean), Some(high)) => format!("{} ± {}", number(mean), number(high - mean)),
+        (Some(mean), None) => number(mean),
         _ => String::new(),
     };
     text.replace('-', "−")
 }
 
 /// The number, and its interval on a scale that all claims share, with 0 in the middle.
-fn bar(reach: f64, mean: Option<f64>, low: Option<f64>, high: Option<f64>) -> Markup {
+fn bar(reach: f64, [mean, low, high]: [Option<f64>; 3], decimals: usize) -> Markup {
     let (width, height) = BAR;
     let at = |value: f64| format!("{:.1}", width / 2.0 + value / reach * (width / 2.0 - 6.0));
     let middle = format!("{:.1}", height / 2.0);
     let Some(mean) = mean else { return html! { span class="quiet" { "too few values" } } };
     html! {
-        span class="n" { (around(Some(mean), high)) }
+        span class="n" { (around(Some(mean), high, decimals)) }
         svg viewBox=(format!("0 0 {width} {height}")) width=(width) height=(height) aria-hidden="true" color="currentColor" style="display:block" {
             line x1=(at(0.0)) x2=(at(0.0)) y1="1" y2="21" stroke="currentColor" stroke-opacity="0.5" stroke-dasharray="2 2" {}
             @if let (Some(low), Some(high)) = (low, high) {

@@ -159,6 +159,11 @@ fn step(distance: f64) -> i32 {
     if distance < 0.0 { -size } else { size }
 }
 
+/// The parameter `decimals` of any kind. An older result has none. No more than the kinds allow, whatever a file says.
+pub(super) fn decimals(params: &Value) -> usize {
+    params.get("decimals").and_then(Value::as_u64).map_or(0, |decimals| decimals.min(6) as usize)
+}
+
 impl Grid {
     /// The grid of a table's CSV under its parameters; `None` where they do not belong together.
     pub(crate) fn of(params: &Value, csv: &Csv) -> Option<Self> {
@@ -169,9 +174,7 @@ impl Grid {
     /// the whole table, in the order of the matrix.
     pub(crate) fn with_gaps(params: &Value, csv: &Csv, all: &[&Labels]) -> Option<Self> {
         let (keys, across) = (list(params, "keys"), list(params, "columns"));
-        // An older result has no such parameter. No more than the kind allows, whatever a file says.
-        let decimals =
-            params.get("decimals").and_then(Value::as_u64).map_or(0, |decimals| decimals.min(6) as usize);
+        let decimals = decimals(params);
         let mut grid = Self {
             down: keys.iter().filter(|key| !across.contains(key)).cloned().collect(),
             across,

@@ -61,6 +61,28 @@ fn one_training_a_cell_is_judged_by_differences_on_equal_tracks() {
 }
 
 #[test]
+fn differences_between_0_and_1_have_the_decimals_that_are_asked_for() {
+    let run = |decimals: u8| {
+        let mut with = params(json!([claim("much beats little", "greater", 0.0, "much", "little")]));
+        with["decimals"] = json!(decimals);
+        let mut bench = Bench::new::<Findings>(&with, 0).unwrap();
+        for (method, score) in [("little", 0.5), ("much", 0.875)] {
+            let path = fakes::scores(&bench, method, &[score; 40]);
+            bench = bench.input("scores", &path, &[("method", method)]);
+        }
+        let line = lines(&bench).remove(0);
+        let pairs = output(&bench, "pairs");
+        (line[3].clone(), pairs.lines().nth(1).unwrap().to_owned(), output(&bench, "markdown"))
+    };
+    let (difference, pair, page) = run(2);
+    assert_eq!(difference, "0.3750");
+    assert!(pair.contains(",0.3750,0.3750,0.3750,40"), "{pair}");
+    assert!(page.contains("0.38 ± 0.00"), "{page}");
+    let (difference, _, page) = run(0);
+    assert!(difference == "0.38" && page.contains("| 0 ± 0 "), "{page}");
+}
+
+#[test]
 fn several_trainings_are_the_unit_and_their_episodes_are_not() {
     let mut params = params(json!([claim("b beats a", "greater", 0.0, "b", "a")]));
     params["trainings"] = json!(["seed"]);

@@ -315,6 +315,48 @@ fn two_runs_are_compared_by_changes_scores_and_curves() {
 }
 
 #[test]
+fn two_runs_are_compared_with_one_decimal_more_than_the_stages_that_read_the_scores() {
+    let run = |score: f64| {
+        let mut lab = Lab::new("default");
+        let rows: String = (0..40).map(|n| format!("{n},{n},{score},100,finished,\n")).collect();
+        let text = format!("episode,seed,score,steps,outcome,diverged_at_step\n{rows}");
+        let output = [("scores", Artifact::SCORES, "csv", text.as_bytes())];
+        let all = [(lab.stage("evaluate", "evaluate", &[("rate", "1")], &output), "scores")];
+        let with = json!({ "title": "T", "profile": "default", "keys": ["rate"], "decimals": 2 });
+        lab.run::<Table>("table", "table", &with, "scores", &all, None);
+        lab
+    };
+    let (ours, mut theirs) = (run(0.875), run(0.5));
+    for stage in &mut theirs.outcome.stages {
+        stage.key = None;
+        stage.outputs.iter_mut().for_each(|output| output.digest.push('b'));
+    }
+    let text = page(&ours.outcome, Some(("other", &theirs.outcome))).unwrap();
+    for part in [">0.875<", ">0.500<", "+0.375 ± 0.000"] {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+}
+
+#[test]
+fn findings_between_0_and_1_are_shown_with_their_decimals() {
+    let mut lab = Lab::new("full");
+    let mut all = Vec::new();
+    for (method, score) in [("a", 0.5), ("b", 0.875)] {
+        let rows: String = (0..40).map(|n| format!("{n},{n},{score},100,finished,\n")).collect();
+        let text = format!("episode,seed,score,steps,outcome,diverged_at_step\n{rows}");
+        let output = [("scores", Artifact::SCORES, "csv", text.as_bytes())];
+        all.push((lab.stage("evaluate", "evaluate", &[("method", method)], &output), "scores"));
+    }
+    let claim = json!({ "claim": "b beats a", "is": "greater", "left": { "method": "b" }, "right": { "method": "a" } });
+    let with = json!({ "title": "T", "profile": "full", "claims": [claim], "decimals": 2 });
+    lab.run::<Findings>("findings", "findings", &with, "scores", &all, None);
+    let text = lab.page("decimals-of-findings");
+    assert!(text.contains("0.38 ± 0.00"), "{text}");
+    // The bar uses the whole width: its scale is that of the differences, and not of points.
+    assert!(text.contains("cx=\"174.0\""), "{text}");
+}
+
+#[test]
 fn stages_are_compared_by_their_keys_whatever_they_are_called() {
     let run = |stages: &[(&str, &str)]| {
         let mut lab = Lab::new("thesis");

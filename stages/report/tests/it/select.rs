@@ -2,7 +2,8 @@
 
 use std::path::PathBuf;
 
-use dril_report::Select;
+use dril_report::{Findings, Select};
+use dril_stage_api::Kind;
 use dril_stage_api::testing::Bench;
 use proptest::prelude::*;
 use serde_json::json;
@@ -46,6 +47,32 @@ fn the_best_candidate_is_copied_byte_for_byte_and_all_are_ranked() {
     bench.run().unwrap();
     assert_eq!(chosen(&bench), [b'2', 0, 255, 13, 10]);
     insta::assert_snapshot!("ranking_csv", output(&bench, "ranking"));
+}
+
+#[test]
+fn scores_between_0_and_1_are_ranked_with_the_decimals_that_are_asked_for() {
+    let bench = Bench::new::<Select>(&json!({ "decimals": 3 }), 0).unwrap();
+    let path = candidate(&bench, "1");
+    let bench = bench.input("candidates", &path, &[("expert", "clipped"), ("seed", "1")]);
+    let bench = with_scores(bench, "1", &[0.8765, 0.8767]);
+    bench.run().unwrap();
+    assert!(
+        output(&bench, "ranking").contains("clipped,1,0.87660,0.00010,2,0,true"),
+        "{}",
+        output(&bench, "ranking")
+    );
+}
+
+#[test]
+fn parameters_that_were_added_later_leave_the_keys_of_earlier_stages_alone() {
+    let select = Kind::of::<Select>();
+    for same in [json!({}), json!({ "decimals": 0 })] {
+        assert_eq!(select.normalize(&same).unwrap(), json!({ "by": "mean" }));
+    }
+    let claim = json!({ "claim": "c", "is": "greater", "left": { "m": 1 }, "right": { "m": 2 } });
+    let with = json!({ "title": "T", "profile": "p", "claims": [claim], "decimals": 0 });
+    let params = Kind::of::<Findings>().normalize(&with).unwrap();
+    assert!(params.get("decimals").is_none(), "{params}");
 }
 
 #[test]
