@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::Labels;
-use crate::params::{ParamProblem, Problems, nearest_and_known};
+use crate::params::{ParamProblem, Problems};
 
 /// An artifact at an input that takes many.
 #[derive(Clone, Copy, Debug)]
@@ -62,12 +62,13 @@ impl<'a> FanIns<'a> {
         let labels: BTreeSet<&str> =
             self.at(port).iter().flat_map(|incoming| incoming.labels.keys().map(String::as_str)).collect();
         let labels: Vec<&str> = labels.into_iter().collect();
-        let hint = match labels.as_slice() {
-            [] => format!("the artifacts at `{port}` have no labels"),
-            _ => nearest_and_known(label, &format!("the labels at `{port}`"), &labels),
-        };
-        let message = format!("unknown label `{label}`");
-        problems.push(ParamProblem { hint: Some(hint), ..ParamProblem::new(path, message) });
+        if labels.is_empty() {
+            let hint = Some(format!("the artifacts at `{port}` have no labels"));
+            problems
+                .push(ParamProblem { hint, ..ParamProblem::new(path, format!("unknown label `{label}`")) });
+        } else {
+            problems.unknown(path, "label", label, &format!("the labels at `{port}`"), &labels);
+        }
     }
 }
 

@@ -37,6 +37,13 @@ impl Problems {
         self.push(ParamProblem::new(path, message));
     }
 
+    /// Reports a name at `path` that is none of `known`, with the nearest of them. `what` it should be, and `whose` the known ones
+    /// are: "column", "its columns".
+    pub fn unknown(&mut self, path: &str, what: &str, seen: &str, whose: &str, known: &[&str]) {
+        let hint = Some(nearest_and_known(seen, whose, known));
+        self.push(ParamProblem { hint, ..ParamProblem::new(path, format!("unknown {what} `{seen}`")) });
+    }
+
     pub(crate) fn push(&mut self, problem: ParamProblem) {
         self.found.push(problem);
     }
@@ -285,7 +292,7 @@ fn known_names(seen: &str, known: &[&str]) -> String {
 }
 
 /// "did you mean `policy`? its labels are `policy`, `seed`"; `what` names the known ones: "its labels".
-pub(crate) fn nearest_and_known(seen: &str, what: &str, known: &[&str]) -> String {
+fn nearest_and_known(seen: &str, what: &str, known: &[&str]) -> String {
     let nearest = known
         .iter()
         .map(|name| (strsim::damerau_levenshtein(seen, name), *name))

@@ -55,8 +55,9 @@ pub trait Describe: 'static {
         let _ = params;
     }
 
-    /// Reports labels in the parameters that the artifacts at the inputs do not have. Called once the stage is connected, before
-    /// anything runs, so it must report only what is certain to fail: a name that may be a column of a file is not.
+    /// Reports labels, and columns of CSV files, in the parameters that the artifacts at the inputs do not have. Called once the
+    /// stage is connected, before anything runs, so it must report only what is certain to fail: a name that may be a column of
+    /// a file is not.
     fn check_labels(params: &Self::Params, inputs: &FanIns<'_>, problems: &mut Problems) {
         let _ = (params, inputs, problems);
     }

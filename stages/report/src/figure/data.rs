@@ -83,6 +83,29 @@ pub(crate) fn check_labels(params: &FigureParams, inputs: &FanIns<'_>, problems:
     }
 }
 
+/// Reports columns that a file is certain to lack.
+pub(crate) fn check_columns(params: &FigureParams, inputs: &FanIns<'_>, problems: &mut Problems) {
+    let x = params.x.iter().map(|name| ("x".to_owned(), name.as_str()));
+    let y = params.y.iter().enumerate().flat_map(|(n, measure)| {
+        let place = move |m: usize| match measure {
+            Measure::Column(_) => format!("y.{n}"),
+            Measure::Columns { .. } => format!("y.{n}.columns.{m}"),
+        };
+        let mark = measure.mark().map(|mark| (format!("y.{n}.mark.column"), mark.column.as_str()));
+        measure.columns().into_iter().enumerate().map(move |(m, name)| (place(m), name)).chain(mark)
+    });
+    for (path, name) in x.chain(y) {
+        let is_it = |column: &&str| match name.strip_suffix('*') {
+            Some(start) => column.starts_with(start),
+            None => *column == name,
+        };
+        let mut known = inputs.at(PORT).iter().filter_map(|incoming| incoming.columns);
+        if let Some(columns) = known.find(|columns| !columns.iter().any(is_it)) {
+            problems.unknown(&path, "column", name, &format!("the columns of a file at `{PORT}`"), columns);
+        }
+    }
+}
+
 /// Reads the files.
 ///
 /// # Errors

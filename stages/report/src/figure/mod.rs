@@ -61,7 +61,9 @@ impl Describe for Figure {
     }
 
     fn check_labels(params: &FigureParams, inputs: &FanIns<'_>, problems: &mut Problems) {
-        data::check_labels(&params.filled(), inputs, problems);
+        let full = params.filled();
+        data::check_labels(&full, inputs, problems);
+        data::check_columns(&full, inputs, problems);
     }
 
     fn ports(_: &FigureParams) -> Ports {

@@ -103,3 +103,20 @@ fn a_label_of_a_figure_may_be_a_column_so_it_is_only_checked_where_the_columns_a
     // One figure serves one seed or several.
     assert_eq!(found(kind, &with("pool", "training"), DATA, &two_policies()), []);
 }
+
+#[test]
+fn a_column_that_the_files_of_a_figure_cannot_have_is_found_with_the_one_that_was_meant() {
+    let kind = Kind::of::<Figure>();
+    let y = json!(["score", "sc*", "scroe", { "title": "both", "columns": ["steps", "stebs", "x*"], "mark": { "column": "m", "label": "m" } }]);
+    let params = json!({ "title": "T", "x": "epizode", "y": y, "layers": { "histogram": {} } });
+    let wrong = found(kind, &params, DATA, &two_policies());
+    assert_eq!(paths(&wrong), ["x", "y.2", "y.3.columns.1", "y.3.columns.2", "y.3.mark.column"]);
+    assert_eq!(wrong[0].1, "unknown column `epizode`");
+    assert!(
+        wrong[0].2.starts_with("did you mean `episode`? the columns of a file at `data` are `episode`, ")
+    );
+    assert_eq!(found(kind, &params, ("data", None), &two_policies()), []);
+    // A preset names columns, too.
+    let curve = json!({ "title": "T", "preset": "curve" });
+    assert_eq!(paths(&found(kind, &curve, DATA, &two_policies())), ["x", "y.0"]);
+}
