@@ -82,6 +82,7 @@ impl Describe for Compare {
     }
 
     fn check_labels(params: &CompareParams, inputs: &FanIns<'_>, problems: &mut Problems) {
+        samples::check_unique(PORT, inputs, problems);
         inputs.require(PORT, &params.axis, "axis", problems);
     }
 

@@ -75,6 +75,7 @@ impl Describe for Leaderboard {
     }
 
     fn check_labels(_: &LeaderboardParams, inputs: &FanIns<'_>, problems: &mut Problems) {
+        samples::check_unique(samples::PORT, inputs, problems);
         if inputs.at(samples::PORT).iter().any(|incoming| !incoming.labels.contains_key(NAME)) {
             problems.add("", format!("an evaluation at `{}` has no name; {NAMELESS}", samples::PORT));
         }

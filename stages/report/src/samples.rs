@@ -1,6 +1,8 @@
 //! Labelled evaluations from a fan-in, and their pooling by some of their labels.
 
-use dril_stage_api::{Ctx, InputItem, Labels, StageError, scores};
+use std::collections::BTreeMap;
+
+use dril_stage_api::{Ctx, FanIns, InputItem, Labels, Problems, StageError, scores};
 
 use crate::inference::standard_error;
 use crate::stats::Summary;
@@ -64,19 +66,36 @@ pub(crate) fn sample(item: InputItem<'_>) -> Result<Sample<'_>, StageError> {
 
 /// Refuses two items with the same labels.
 pub(crate) fn unique(port: &str, items: &[InputItem<'_>]) -> Result<(), StageError> {
-    for (n, item) in items.iter().enumerate() {
-        if let Some(first) = items[..n].iter().position(|other| other.labels == item.labels) {
+    match twice(port, items.iter().map(|item| item.labels)) {
+        Some((second, message)) => Err(StageError::input(port, items[second].path, message)),
+        None => Ok(()),
+    }
+}
+
+/// Reports two artifacts with the same labels, before anything runs.
+pub(crate) fn check_unique(port: &str, inputs: &FanIns<'_>, problems: &mut Problems) {
+    if let Some((_, message)) = twice(port, inputs.at(port).iter().map(|incoming| incoming.labels)) {
+        problems.add("", message);
+    }
+}
+
+/// The first item whose labels an earlier one has, and what to say of it.
+fn twice<'l>(port: &str, all: impl Iterator<Item = &'l Labels>) -> Option<(usize, String)> {
+    let mut places = BTreeMap::new();
+    for (second, labels) in all.enumerate() {
+        let first = *places.entry(labels).or_insert(second);
+        if first != second {
             let message = format!(
-                "items {} and {} of this input have the same labels ({}), expected each combination once; wire each \
+                "items {} and {} at `{port}` have the same labels ({}), expected each combination once; wire each \
                  stage once, or give the items names, as in `{port}: {{ first: ..., second: ... }}`",
                 first + 1,
-                n + 1,
-                describe(item.labels)
+                second + 1,
+                describe(labels)
             );
-            return Err(StageError::input(port, item.path, message));
+            return Some((second, message));
         }
     }
-    Ok(())
+    None
 }
 
 /// The samples by the values of `keys`, groups and episodes in the order of the samples.

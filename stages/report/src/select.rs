@@ -3,7 +3,7 @@
 use std::cmp::Ordering;
 use std::collections::BTreeSet;
 
-use dril_stage_api::{Artifact, Ctx, Describe, InputItem, Ports, Problems, Stage, StageError};
+use dril_stage_api::{Artifact, Ctx, Describe, FanIns, InputItem, Ports, Problems, Stage, StageError};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -58,6 +58,12 @@ impl Describe for Select {
 
     fn check(params: &SelectParams, problems: &mut Problems) {
         crate::caption::check_decimals(params.decimals, problems);
+    }
+
+    fn check_labels(_: &SelectParams, inputs: &FanIns<'_>, problems: &mut Problems) {
+        for port in [CANDIDATES, samples::PORT] {
+            samples::check_unique(port, inputs, problems);
+        }
     }
 
     fn ports(_: &SelectParams) -> Ports {

@@ -98,6 +98,7 @@ impl Describe for Table {
     }
 
     fn check_labels(params: &TableParams, inputs: &FanIns<'_>, problems: &mut Problems) {
+        samples::check_unique(samples::PORT, inputs, problems);
         for (n, key) in params.keys.iter().enumerate() {
             inputs.require(samples::PORT, key, &format!("keys.{n}"), problems);
         }

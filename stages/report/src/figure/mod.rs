@@ -61,6 +61,7 @@ impl Describe for Figure {
     }
 
     fn check_labels(params: &FigureParams, inputs: &FanIns<'_>, problems: &mut Problems) {
+        crate::samples::check_unique(data::PORT, inputs, problems);
         let full = params.filled();
         data::check_labels(&full, inputs, problems);
         data::check_columns(&full, inputs, problems);

@@ -36,6 +36,7 @@ impl Describe for Findings {
     }
 
     fn check_labels(params: &FindingsParams, inputs: &FanIns<'_>, problems: &mut Problems) {
+        samples::check_unique(samples::PORT, inputs, problems);
         params.check_labels(inputs, problems);
     }
 

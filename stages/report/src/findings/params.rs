@@ -114,7 +114,7 @@ impl Relation {
 }
 
 impl FindingsParams {
-    /// Reports labels that leave a claim without a cell.
+    /// Reports labels that leave a claim without a cell, or without cells to choose from.
     pub(crate) fn check_labels(&self, inputs: &FanIns<'_>, problems: &mut Problems) {
         for (n, label) in self.trainings.iter().enumerate() {
             inputs.require(PORT, label, &format!("trainings.{n}"), problems);
@@ -128,6 +128,11 @@ impl FindingsParams {
                 for label in labels.keys().filter(|label| !inputs.has(PORT, label)) {
                     inputs.unknown(PORT, label, &format!("claims.{n}.{side}.{label}"), problems);
                 }
+            }
+            // Misspelt, it would choose between nothing, and cells that should be candidates would be pairs.
+            let unknown = claim.best_of.iter().enumerate().filter(|(_, label)| !inputs.has(PORT, label));
+            for (at, label) in unknown {
+                inputs.unknown(PORT, label, &format!("claims.{n}.best_of.{at}"), problems);
             }
         }
     }

@@ -1,6 +1,6 @@
 //! Labels that parameters name and inputs lack are found before anything runs, and nothing else is.
 
-use dril_report::{Compare, Figure, Findings, Leaderboard, Table};
+use dril_report::{Compare, Figure, Findings, Leaderboard, Select, Table};
 use dril_stage_api::{FanIns, Incoming, Kind, Labels, ParamProblem, scores};
 use serde_json::{Value, json};
 
@@ -66,12 +66,13 @@ fn the_axis_of_a_comparison_and_the_names_of_a_leaderboard_are_required() {
 
 #[test]
 fn labels_of_claims_are_required_on_some_cell_and_those_of_trainings_on_all() {
-    let with = |left: &str, trainings: &str| {
+    let with_best = |left: &str, trainings: &str, best_of: &str| {
         json!({"title": "t", "profile": "p", "trainings": [trainings], "claims": [{
             "claim": "c", "is": "greater", "left": {left: "beta"}, "right": {"policy": "gaussian"},
-            "where": {"mode": "stochastic"}, "best_of": ["agent"],
+            "where": {"mode": "stochastic"}, "best_of": [best_of],
         }]})
     };
+    let with = |left: &str, trainings: &str| with_best(left, trainings, "mode");
     let all = two_policies().map(|mut labels| {
         labels.insert("mode".to_owned(), "stochastic".to_owned());
         labels
@@ -80,9 +81,35 @@ fn labels_of_claims_are_required_on_some_cell_and_those_of_trainings_on_all() {
     assert_eq!(found(kind, &with("policy", "seed"), SCORES, &all), []);
     let wrong = found(kind, &with("polcy", "sed"), SCORES, &all);
     assert_eq!(paths(&wrong), ["trainings.0", "claims.0.left.polcy"]);
+    let wrong = found(kind, &with_best("policy", "seed", "mod"), SCORES, &all);
+    assert_eq!(paths(&wrong), ["claims.0.best_of.0"]);
+    assert!(wrong[0].2.starts_with("did you mean `mode`?"), "{wrong:?}");
     // A claim may be about some of the cells only.
     let more = [&all[..], &[labels(&[("seed", "1")])]].concat();
     assert_eq!(found(kind, &with("policy", "seed"), SCORES, &more), []);
+}
+
+#[test]
+fn two_evaluations_with_the_same_labels_are_found_whatever_reads_them() {
+    let twice = [&two_policies()[..], &two_policies()[1..]].concat();
+    let message = "items 2 and 3 at `scores` have the same labels (policy=gaussian, seed=1), expected each combination once; \
+                   wire each stage once, or give the items names, as in `scores: { first: ..., second: ... }`";
+    let claim =
+        json!({"claim": "c", "is": "greater", "left": {"policy": "beta"}, "right": {"policy": "gaussian"}});
+    for (kind, params) in [
+        (Kind::of::<Table>(), json!({"title": "t", "profile": "p", "keys": ["policy"]})),
+        (Kind::of::<Compare>(), json!({"title": "t", "profile": "p", "axis": "policy", "base": "beta"})),
+        (Kind::of::<Findings>(), json!({"title": "t", "profile": "p", "claims": [claim]})),
+        (Kind::of::<Select>(), json!({})),
+    ] {
+        assert_eq!(found(kind, &params, SCORES, &two_policies()), [], "{}", kind.name());
+        assert_eq!(found(kind, &params, SCORES, &twice)[0].1, message, "{}", kind.name());
+    }
+    let named = ["PPO", "PPO"].map(|name| labels(&[("name", name)]));
+    let board = json!({"title": "t", "profile": "p"});
+    assert!(found(Kind::of::<Leaderboard>(), &board, SCORES, &named)[0].1.starts_with("items 1 and 2 at"));
+    let figure = json!({"title": "t", "preset": "scores"});
+    assert!(found(Kind::of::<Figure>(), &figure, DATA, &twice)[0].1.starts_with("items 2 and 3 at `data`"));
 }
 
 #[test]

@@ -317,7 +317,7 @@ fn an_evaluation_wired_twice_does_not_count_twice() {
     let bench = table(&params("T", &[]), &[]);
     let path = fakes::scores(&bench, "again", &[1.0]);
     let message = failure(&bench.input("scores", &path, &fakes::matrix()[3]));
-    assert!(message.contains("items 4 and 49 of this input have the same labels"), "{message}");
+    assert!(message.contains("items 4 and 49 at `scores` have the same labels"), "{message}");
     assert!(message.contains("wire each stage once"), "{message}");
 }
 
