@@ -30,6 +30,20 @@ fn contents(sealed: &Sealed, below: &str) -> Vec<String> {
 }
 
 #[test]
+fn a_cache_that_does_not_exist_is_named_and_not_called_sound() {
+    let sealed = Sealed::with(WORDS);
+    let note = "note: there is no cache in `typo`; `--cache DIR` or DRIL_PIPE_CACHE names another one\n";
+    for (command, said) in
+        [("verify", "nothing to check\n"), ("gc", "removed 0 results"), ("du", "typo: 0 B")]
+    {
+        let ended = sealed.run(&format!("cache {command} --cache typo"));
+        assert_eq!((ended.code, ended.stderr.as_str()), (0, note), "{command}");
+        assert!(ended.stdout.starts_with(said), "{}", ended.stdout);
+    }
+    assert!(!sealed.path("typo").exists());
+}
+
+#[test]
 fn verify_finds_every_kind_of_damage_and_the_next_run_after_repair_rebuilds_it() {
     let sealed = Sealed::with(WORDS);
     let table = {

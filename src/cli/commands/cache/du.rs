@@ -5,16 +5,16 @@ use std::process::ExitCode;
 use serde_json::json;
 
 use crate::cli::args::DuArgs;
+use crate::cli::columns;
 use crate::cli::commands::inspect::size;
 use crate::cli::terminal::{count, print, printable, shown};
-use crate::cli::{columns, pipeline};
 use crate::error::Error;
 
 /// The number of stages in the human-readable list.
 const MOST_STAGES: usize = 25;
 
 pub(in crate::cli) fn main(args: &DuArgs) -> Result<ExitCode, Error> {
-    let store = pipeline::store(&args.store)?;
+    let store = super::store(&args.store)?;
     let usage = store.usage()?;
     let mut stages: Vec<_> = usage.stages.iter().collect();
     stages.sort_by_key(|(name, room)| (std::cmp::Reverse(room.bytes), *name));

@@ -21,7 +21,7 @@ use crate::store::{Key, Store, Sweep, Swept};
 const MOST_RESULTS: usize = 20;
 
 pub(in crate::cli) fn main(args: &GcArgs, registry: &Registry) -> Result<ExitCode, Error> {
-    let store = pipeline::store(&args.store)?;
+    let store = super::store(&args.store)?;
     let mut keep = HashSet::new();
     for path in &args.keep {
         keep.extend(kept_by(path, &store, registry)?);

@@ -6,13 +6,12 @@ use serde_json::{Value, json};
 
 use crate::cli::args::VerifyArgs;
 use crate::cli::commands::inspect::size;
-use crate::cli::pipeline;
 use crate::cli::terminal::{Style, Terminal, count, print, shown};
 use crate::error::{Error, exit_codes};
 use crate::store::Verified;
 
 pub(in crate::cli) fn main(args: &VerifyArgs) -> Result<ExitCode, Error> {
-    let store = pipeline::store(&args.store)?;
+    let store = super::store(&args.store)?;
     let verified = store.verify(super::key_of, args.repair)?;
     if args.json {
         print(&format!("{:#}\n", as_json(&verified)))?;
@@ -37,6 +36,7 @@ fn text(verified: &Verified, repair: bool) -> String {
     );
     let found = count(verified.damage.len(), "problem");
     text += &match (verified.damage.is_empty(), repair) {
+        (true, _) if verified.blobs + verified.records == 0 => "nothing to check\n".to_owned(),
         (true, _) => format!("{}: {looked}\n", terminal.paint(Style::Good, "sound")),
         (false, true) => format!(
             "{}: {looked}; {found}; moved files are in `quarantine-v1` of the cache\n",
