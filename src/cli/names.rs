@@ -4,6 +4,12 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use crate::resolve::{Graph, StageIndex};
 
+/// The word for `count` instances of a stage, which share these coordinates (`policy=beta`).
+pub(super) fn word(stage: &str, shared: &[String], count: usize) -> String {
+    let shared = if shared.is_empty() { String::new() } else { format!("[{}]", shared.join(", ")) };
+    format!("{stage}{shared} × {count}")
+}
+
 /// Names groups of stage instances.
 pub(super) struct Names<'g> {
     graph: &'g Graph,
@@ -37,8 +43,7 @@ impl<'g> Names<'g> {
             .filter(|coordinate| !all && members().all(|stage| stage.coordinates.contains(coordinate)))
             .map(|(axis, value)| format!("{axis}={value}"))
             .collect();
-        let shared = if shared.is_empty() { String::new() } else { format!("[{}]", shared.join(", ")) };
-        format!("{}{shared} × {}", first.name, group.len())
+        word(&first.name, &shared, group.len())
     }
 
     /// True where both name the same stages, whichever instances.

@@ -22,9 +22,10 @@ pub(crate) mod problem;
 mod scalar;
 mod schema;
 pub(crate) mod source;
-pub(crate) mod suggest;
 mod syntax;
 pub(crate) mod yaml;
+
+pub(crate) use dril_stage_api::suggest;
 
 pub use diagnostic::{Diagnostic, Diagnostics, Place};
 pub use limits::{Limits, Resources};

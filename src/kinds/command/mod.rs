@@ -205,8 +205,8 @@ fn check_pieces(pieces: &[Piece<'_>], path: &str, params: &CommandParams, proble
                 problems.add(
                     path,
                     format!(
-                        "`{{inputs.{name}}}` stands for several paths, and is a part of a longer word here, expected it as a \
-                         word of its own; `{}/` is the folder with all of them, and `inputs.json` lists them",
+                        "`{{inputs.{name}}}` stands for several paths and is part of a longer word, expected a word of its \
+                         own; `{}/` is the folder with all of them, and `inputs.json` lists them",
                         params.input_path(name)
                     ),
                 );

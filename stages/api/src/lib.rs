@@ -11,6 +11,7 @@
 //!   result uses them instead of `std` or other libraries.
 //! - [`outcome`] is a pipeline with its results, the input of the HTML report.
 //! - [`scores`] is the artifact format that several stage crates share, and [`lines`] names the lines of CSV files in messages.
+//! - [`suggest`] finds the name that was meant.
 //!
 //! This crate does not know YAML, keys or the cache, and depends on no other package of the workspace.
 
@@ -33,6 +34,7 @@ mod reply;
 pub mod scores;
 mod seed;
 mod stage;
+pub mod suggest;
 pub mod testing;
 mod tool;
 

@@ -6,6 +6,8 @@ use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
+use crate::suggest;
+
 /// Something wrong with one parameter.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ParamProblem {
@@ -293,14 +295,9 @@ fn known_names(seen: &str, known: &[&str]) -> String {
 
 /// "did you mean `policy`? its labels are `policy`, `seed`"; `what` names the known ones: "its labels".
 fn nearest_and_known(seen: &str, what: &str, known: &[&str]) -> String {
-    let nearest = known
-        .iter()
-        .map(|name| (strsim::damerau_levenshtein(seen, name), *name))
-        .filter(|(distance, name)| *distance <= 1 + name.len() / 4)
-        .min();
     let list = known.iter().map(|name| format!("`{name}`")).collect::<Vec<_>>().join(", ");
-    match nearest {
-        Some((_, name)) => format!("did you mean `{name}`? {what} are {list}"),
+    match suggest::nearest(seen, known.iter().copied()) {
+        Some(name) => format!("did you mean `{name}`? {what} are {list}"),
         None => format!("{what} are {list}"),
     }
 }

@@ -1,5 +1,7 @@
 //! Names of stage instances where there is no graph: those of past runs, whose pipeline may have changed since.
 
+use crate::cli::names::word;
+
 /// The stage's name and the coordinates of `dril[expert=clipped, policy=beta]`.
 pub(super) fn parts(id: &str) -> (&str, Vec<(&str, &str)>) {
     let (name, rest) = id.strip_suffix(']').and_then(|id| id.split_once('[')).unwrap_or((id, ""));
@@ -25,8 +27,7 @@ pub(super) fn group(ids: &[&str]) -> String {
         shared.retain(|coordinate| coordinates.contains(coordinate));
     }
     let shared: Vec<String> = shared.iter().map(|(axis, value)| format!("{axis}={value}")).collect();
-    let shared = if shared.is_empty() { String::new() } else { format!("[{}]", shared.join(", ")) };
-    format!("{name}{shared} × {}", ids.len())
+    word(name, &shared, ids.len())
 }
 
 /// Words for instances of any stages, one a stage.

@@ -11,6 +11,7 @@ use crate::cli::args::KindsArgs;
 use crate::cli::columns;
 use crate::cli::terminal::{Style, Terminal, print};
 use crate::error::{Error, ErrorKind};
+use crate::spec::suggest;
 
 /// The width of wrapped text where the output has no width.
 const PROSE: usize = 110;
@@ -31,13 +32,11 @@ pub(in crate::cli) fn main(args: &KindsArgs, registry: &Registry) -> Result<Exit
 
 fn unknown(name: &str, registry: &Registry) -> Error {
     let names: Vec<&str> = registry.iter().map(Kind::name).collect();
-    let near = names.iter().min_by_key(|known| strsim::damerau_levenshtein(name, known));
-    let near = near.filter(|known| strsim::damerau_levenshtein(name, known) <= 1 + known.len() / 4);
-    let error = Error::new(ErrorKind::Usage, format!("there is no stage kind `{name}`"));
-    match near {
-        Some(near) => error.hint(format!("did you mean `{near}`?")),
-        None => error.hint(format!("the kinds are {}", names.join(", "))),
-    }
+    Error::new(ErrorKind::Usage, format!("there is no stage kind `{name}`")).hint(suggest::hint(
+        name,
+        "the kinds",
+        names,
+    ))
 }
 
 fn list(registry: &Registry, terminal: Terminal) -> String {

@@ -1,12 +1,12 @@
-//! "Did you mean": the nearest known name to a misspelt one.
+//! "Did you mean": the nearest known name to a misspelt one, for the errors of the engine and of parameters alike.
 
 /// Longer names than this are not compared: the time grows with the square.
 const LONGEST: usize = 64;
 /// The number of names that a hint lists.
 const LISTED: usize = 12;
 
-/// The known name that is nearest to `seen`.
-pub(crate) fn nearest<'a>(seen: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+/// The known name that is nearest to `seen`, whatever its case, or of which `seen` is the only abbreviation; `None` where all are far.
+pub fn nearest<'a>(seen: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     if seen.len() > LONGEST {
         return None;
     }
@@ -27,7 +27,7 @@ pub(crate) fn nearest<'a>(seen: &str, known: impl IntoIterator<Item = &'a str>) 
 }
 
 /// "did you mean `a`? known are `a`, `b`", or as much of it as can be said. `what` names the known ones: "its inputs".
-pub(crate) fn hint<'a>(seen: &str, what: &str, known: impl IntoIterator<Item = &'a str>) -> String {
+pub fn hint<'a>(seen: &str, what: &str, known: impl IntoIterator<Item = &'a str>) -> String {
     let known: Vec<&str> = known.into_iter().collect();
     match (nearest(seen, known.iter().copied()), known.len()) {
         (_, 0) => format!("there are no {}", what.trim_start_matches("the ").trim_start_matches("its ")),
@@ -37,7 +37,7 @@ pub(crate) fn hint<'a>(seen: &str, what: &str, known: impl IntoIterator<Item = &
 }
 
 /// "`a`, `b` and 7 more".
-pub(crate) fn list(names: &[&str]) -> String {
+pub fn list(names: &[&str]) -> String {
     let mut text = names.iter().take(LISTED).map(|name| format!("`{name}`")).collect::<Vec<_>>().join(", ");
     if names.len() > LISTED {
         text.push_str(&format!(" and {} more", names.len() - LISTED));
